@@ -304,6 +304,36 @@ def test_window_and_force_fit_a_small_screen(drive):
     driver.wait(lambda: window.playback.width() < window.width() - 200)
 
 
+def seen(widget):
+    """Height of the part of a widget that is on the screen, px."""
+    return widget.visibleRegion().boundingRect().height()
+
+
+def test_panels_become_tabs_where_the_window_would_grow_beyond_the_screen(drive):
+    """As in a window of 1024×700 pixels at 150 %, minus the frame."""
+    driver = drive(DentSource, frame=6)
+    window = driver.window
+    window.resize(850, 427)
+    driver.wait(lambda: window.minimumSize().width() <= 675)
+    driver.resize(675, 427)
+    driver.show("compare")
+    results = [label for of in (window.compare.a, window.compare.b) for label in of.values.values()]
+    driver.wait(lambda: all(seen(label) == label.height() for label in results))
+    for name, panel in (("plots", window.plots), ("calibration", window.calibration)):
+        driver.show(name)
+        driver.wait(lambda panel=panel: seen(panel) > 100)
+        driver.wait_until_shown()
+        assert driver.size == (675, 427)
+    driver.state.set_range((2, 8))  # with the statistics of a range
+    driver.wait(lambda: seen(window.plots.statistics) > 30)
+    assert driver.size == (675, 427) and seen(window.view) > 100
+    assert window.panels["layers"] in window.tabifiedDockWidgets(window.panels["compare"])
+    driver.show("compare")
+    window.panels["compare"].hide()
+    driver.show("compare")  # in front of the tabs it was behind
+    driver.wait(lambda: seen(window.compare) > 50)
+
+
 def right_end(driver, text):
     """Right end of a text of the 3-D view, pixels."""
     box, renderer = [0.0] * 4, driver.window.view.renderer

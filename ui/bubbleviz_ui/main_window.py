@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtCore import QSize, Qt, QTimer, QUrl
+from PySide6.QtCore import QEvent, QSize, Qt, QTimer, QUrl
 from PySide6.QtGui import (
     QCloseEvent,
     QDesktopServices,
@@ -18,7 +18,7 @@ from PySide6.QtGui import (
     QResizeEvent,
     QUndoStack,
 )
-from PySide6.QtWidgets import QApplication, QMainWindow, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QApplication, QLayout, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
 
 from bubbleviz.errors import UnknownCameraError
 from bubbleviz.files import SESSION_SUFFIX, SUFFIXES, TRUTH_SUFFIX, pages_folder
@@ -63,7 +63,7 @@ from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
-from bubbleviz_ui.shell.dock import Dock, OpenPanels, fill, scrolled
+from bubbleviz_ui.shell.dock import Dock, OpenPanels, column, fill, make_tabs, scrolled
 from bubbleviz_ui.shell.file_dialogs import (
     SENSOR_FILES,
     file_to_open,
@@ -164,6 +164,10 @@ class MainWindow(QMainWindow):
         self.importing, self._reading = Worker("import"), Worker("information")
         self._import: ImportDialog | None = None
         self._memory = MemoryRelease(state)
+        self._docks: dict[str, Dock] = {}
+        layout = self.layout()
+        assert layout is not None
+        layout.setSizeConstraint(QLayout.SizeConstraint.SetNoConstraint)  # see `_fit`
         self._lay_out()
         self.menus = Menus(self)
         self.shortcuts = Shortcuts(self.menuBar())
@@ -317,9 +321,41 @@ class MainWindow(QMainWindow):
         super().closeEvent(event)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Arrange docks for the new width."""
+        """Arrange docks for the new size."""
         super().resizeEvent(event)
         self._share_width()
+        self._restore_heights()
+
+    def event(self, event: QEvent) -> bool:
+        """Fit docks whose contents changed; keep heights that were dragged."""
+        done = super().event(event)
+        if event.type() == QEvent.Type.LayoutRequest and self.isVisible():
+            self._fit()
+        elif event.type() == QEvent.Type.MouseButtonRelease:  # of a line between docks
+            for dock in self._docks.values():
+                dock.keep_height()
+        return done
+
+    def _fit(self) -> None:
+        """Make tabs of docks rather than grow, perhaps beyond the screen."""
+        for dock in self._docks.values():
+            dock.learn_height()
+            if dock.too_low:
+                make_tabs(self, dock)
+        for side in SIDES.values():
+            shown = column(self, side)
+            if self.minimumSizeHint().height() > self.height() and shown:
+                make_tabs(self, max(shown, key=lambda dock: dock.opened_s))
+        tabs = self.tabifiedDockWidgets(self._docks["playback"])
+        policy = QSizePolicy.Policy.Preferred
+        fixed = all(dock.isHidden() for dock in tabs)  # else the others would be as low
+        self.playback.setSizePolicy(policy, QSizePolicy.Policy.Fixed if fixed else policy)
+        room = self.screen().availableSize() - FRAME
+        self.setMinimumSize(self.minimumSizeHint().boundedTo(room))
+
+    def _restore_heights(self) -> None:
+        for dock in self._docks.values():
+            dock.restore_height()
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         """Accept files."""
@@ -387,6 +423,7 @@ class MainWindow(QMainWindow):
         docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
+        self._docks = docks
         return {**docks, "status": self.status}
 
     def _share_width(self) -> None:

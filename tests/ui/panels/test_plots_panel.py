@@ -9,10 +9,10 @@ import numpy as np
 import pyqtgraph as pg
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
-from PySide6.QtCore import QEvent, QPointF
+from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, clipboard_text, graphics_view, hover, painted
+from window_driver import CONTACT, LEFT, clipboard_text, graphics_view, hover, painted
 
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
@@ -322,6 +322,50 @@ def test_plots_open_with_two_rows_in_a_small_window(drive):
     driver.wait_until_shown()
     assert driver.size == (1016, 660)
     assert shown.height() >= 2 * shown.visibleRegion().boundingRect().height()
+
+
+def test_plots_keep_their_height(drive):
+    """After the window was smaller, and beside the statistics of a range."""
+    driver = drive(DentSource, frame=6)
+    driver.resize(1280, 900)
+    driver.trigger("View › Plots")
+    driver.wait_until_shown()
+    panel, shown = driver.window.plots, graphics_view(driver.window.plots).viewport()
+
+    def height():
+        return shown.visibleRegion().boundingRect().height()
+
+    driver.wait(lambda: height() > 200)
+    opened = height()
+    driver.resize(1024, 500)
+    assert 100 < height() < opened
+    driver.resize(1280, 900)
+    driver.wait(lambda: height() == opened)
+    driver.state.set_range((2, 8))
+    driver.wait(lambda: panel.statistics.isVisible() and height() == opened)
+    rows = panel.statistics.verticalHeader()
+    assert rows.viewport().visibleRegion().boundingRect().height() >= rows.length()
+    driver.resize(1024, 600)
+    assert height() > 80
+    driver.state.set_range(None)
+    driver.resize(1280, 900)
+    driver.wait(lambda: height() == opened)
+    # dragged by the line above it
+    dock = driver.window.panels["plots"]
+    line = QPoint(300, dock.y() - 2)
+    driver.bot.mousePress(driver.window, LEFT, pos=line)
+    driver.bot.mouseMove(driver.window, line - QPoint(0, 60))
+    driver.wait(lambda: height() == opened + 60)
+    driver.bot.mouseRelease(driver.window, LEFT, pos=line - QPoint(0, 60))
+    saver = driver.window.session_saver
+    saved = saver.snapshot()
+    for _ in range(2):
+        driver.resize(1024, 500)
+        driver.resize(1280, 900)
+        driver.wait(lambda: height() == opened + 60)
+        dock.hide()
+        saver.apply_settings(saved)
+        driver.wait(lambda: height() == opened + 60)
 
 
 @pytest.mark.parametrize("width", [110, 150, 310, 900])

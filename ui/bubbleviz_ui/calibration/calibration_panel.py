@@ -39,7 +39,8 @@ from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
 from bubbleviz_ui.shell.message_bars import JobProgress, StepButtons, StepState
 
 OUTDATED = "Outdated: settings changed since."
-WIDTH = 380  # px
+WIDTH, LEAST_HEIGHT = 380, 40
+"""Of the panel, and of a page on a low screen, where it is scrolled, screen pixels."""
 
 
 class CalibrationPanel(QWidget):
@@ -324,4 +325,5 @@ def _scrolling(page: Page) -> QScrollArea:
     area.setWidget(page)
     area.setWidgetResizable(True)
     area.setFrameShape(QScrollArea.Shape.NoFrame)
+    area.setMinimumHeight(LEAST_HEIGHT)
     return area

@@ -46,14 +46,14 @@ ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
     "status": ("Status", lambda m, u: m.numbers.status),
-    "total": ("Total time", lambda m, u: u.duration.text(m.numbers.total_ms)),
-    "solve": ("Solver time", lambda m, u: u.duration.text(m.numbers.solve_ms)),
     "force": ("Force", lambda m, u: force_text(m.result, u)),
     "tangential": ("Tangential force", lambda m, u: tangential_text(m.result, u)),
     "area": ("Patch area", lambda m, u: u.area.text(m.numbers.area_m2)),
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.numbers.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),
     "iou": ("Patch IoU", lambda m, u: DASH if math.isnan(m.iou) else f"{m.iou:.2f}"),
+    "total": ("Total time", lambda m, u: u.duration.text(m.numbers.total_ms)),
+    "solve": ("Solver time", lambda m, u: u.duration.text(m.numbers.solve_ms)),
     "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),
 }
 """What is measured, by its title and its text."""
@@ -318,20 +318,23 @@ class ComparePanel(QWidget):
     def _lay_out(self) -> None:
         grid = QGridLayout()
         grid.setHorizontalSpacing(8)
-        grid.setVerticalSpacing(3)
+        grid.setVerticalSpacing(2)
         for place, each in enumerate((self.a, self.b), start=1):
             grid.addWidget(each.title, 0, place)
-        tip = "Use this setting in the whole window; Ctrl+Z restores the previous one"
-        for place, each in enumerate((self.a, self.b), start=1):
-            each.used.setToolTip(tip)
-            for row, made in enumerate((*each.controls.values(), each.used), start=1):
-                grid.addWidget(QLabel(made.accessibleName()), row, 0)
-                made.setMinimumWidth(94)
-                grid.addWidget(made, row, place)
-        for row, (name, (title, _)) in enumerate(ROWS.items(), start=len(self.a.controls) + 2):
+        a, b = self.a, self.b
+        rows = [("", a.title, b.title)]  # results first: on a low screen the rest is scrolled
+        rows += ((title, a.values[name], b.values[name]) for name, (title, _) in ROWS.items())
+        controls = zip(a.controls.values(), b.controls.values(), strict=True)
+        rows += ((of_a.accessibleName(), of_a, of_b) for of_a, of_b in controls)
+        for row, (title, *both) in enumerate([*rows, ("", a.used, b.used)]):
             grid.addWidget(QLabel(title), row, 0)
-            for place, each in enumerate((self.a, self.b), start=1):
-                grid.addWidget(each.values[name], row, place)
+            for place, widget in enumerate(both, start=1):
+                grid.addWidget(widget, row, place)
+        for each in (a, b):
+            for widget in (*each.controls.values(), each.used):
+                widget.setMinimumWidth(94)
+            tip = "Use this setting in the whole window; Ctrl+Z restores the previous one"
+            each.used.setToolTip(tip)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
         self.hint = QLabel(

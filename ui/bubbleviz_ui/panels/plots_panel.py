@@ -26,7 +26,7 @@ EVERY_MS = 200
 CELL = (310, 112)
 """Smallest width and height of a plot, screen pixels."""
 LEAST_HEIGHT = 40
-"""Height of the plots on a low screen, where they are scrolled, screen pixels."""
+"""Height of the plots while bars with messages take their room, screen pixels."""
 LIVE_WINDOW_S = 20.0
 """Time span shown of a live source."""
 
@@ -144,10 +144,12 @@ class PlotsPanel(QWidget):
         self._show_kappa()
 
     def sizeHint(self) -> QSize:
-        """Two rows of plots, even before any exist; a smaller panel scrolls."""
+        """Two rows of plots, even before any exist, and the table; a smaller panel scrolls."""
         width, height = CELL
-        header = self.choose.sizeHint().height() + self._column.spacing()
-        return QSize(2 * width, 2 * height + header).grownBy(self._column.contentsMargins())
+        rest = self.choose.sizeHint().height() + self._column.spacing()
+        if not self.statistics.isHidden():
+            rest += self.statistics.maximumHeight() + self._column.spacing()
+        return QSize(2 * width, 2 * height + rest).grownBy(self._column.contentsMargins())
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Adapt the number of columns."""

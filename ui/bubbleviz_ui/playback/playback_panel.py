@@ -9,7 +9,6 @@ from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap, QPolygonF, QResizeEv
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
-    QSizePolicy,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -109,7 +108,6 @@ class PlaybackPanel(QWidget):
             tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
         )
         self.go_live = tool_button("Live", "Go live: show the newest frame (N)")
-        self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
         self._lay_out()
         self._show_all()
         self._connect()

@@ -268,12 +268,13 @@ class RangeTable(QTableWidget):
             widget.setVisible(bool(columns))
 
     def _fit(self) -> None:
-        """Fit the height to the rows."""
+        """Be as high as the rows, or scroll on a low screen."""
         self.resizeColumnsToContents()
         bar = self.horizontalScrollBar().sizeHint().height()
         head = self.horizontalHeader().sizeHint().height()
-        rows = self.verticalHeader().length()
-        self.setFixedHeight(head + rows + bar + 2 * self.frameWidth())
+        rest = head + bar + 2 * self.frameWidth()
+        self.setMaximumHeight(rest + self.verticalHeader().length())
+        self.setMinimumHeight(rest + ROW)
 
 
 def _heading(curve: Curve) -> str:

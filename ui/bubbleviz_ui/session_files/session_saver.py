@@ -40,6 +40,7 @@ from bubbleviz_ui.session_files.session_file import (
     with_paths,
     with_sensor,
 )
+from bubbleviz_ui.shell.dock import Dock
 from bubbleviz_ui.shell.file_dialogs import ask_yes_no
 from bubbleviz_ui.view3d.render_view import View
 
@@ -207,6 +208,8 @@ class SessionSaver(QObject):
             if saved.geometry:
                 self._window.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
+                for dock in self._window.findChildren(Dock):
+                    dock.forget_height()
                 self._window.restoreState(_bytes(saved.layout))
             window.status.setVisible("status" in settings.panels)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Mapping
 from typing import TypeVar
 
@@ -22,24 +24,29 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.model.session_state import SessionState
 
+USABLE = 0.6
+"""Below this share of its size hint a dock that is opened becomes a tab."""
+
 
 class Dock(QDockWidget):
-    """Dock whose placement as a tab is deferred until it is first shown.
+    """Dock whose placement as a tab is deferred until it is first shown, of a height that is kept.
 
-    Otherwise Qt would draw tabs of docks that were never shown; and a dock shown before it is a tab
-    makes the window grow.
+    Qt would draw tabs of docks that were never shown.
     """
 
     _neighbour: QDockWidget | None = None
     _narrower_than: int | None = None
-    _at_hint = _maximises = False
+    _above_hint: int | None = 0
+    _sized = _maximises = _opened = False
+    _hint = 0
+    opened_s = 0.0  # When it was opened last, by a monotonic clock
 
     def open_at_hint_height(self) -> None:
-        """Open at the panel's size hint instead of its minimum height."""
-        self._at_hint = True
+        """Have the height of the panel's size hint, more or less what the operator dragged."""
+        self._sized = True
 
     def maximise_height(self) -> None:
-        """Whenever opened, take all height that other docks of its column do not need."""
+        """When opened, take the height that other docks of its side do not need, or be a tab."""
         self._maximises = True
 
     def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
@@ -50,29 +57,83 @@ class Dock(QDockWidget):
         self._neighbour, self._narrower_than = neighbour, narrower_than
 
     def setVisible(self, visible: bool) -> None:
-        """Show or hide; the first time, become a tab before that."""
-        window, neighbour, limit = self.parentWidget(), self._neighbour, self._narrower_than
-        first = visible and neighbour is not None
-        if first and neighbour is not None and isinstance(window, QMainWindow):
-            self._neighbour = None
-            first = limit is None or window.width() < limit
-            if first:
-                window.tabifyDockWidget(neighbour, self)
+        """Show or hide; open in front of its tabs."""
+        window, opened = self.parentWidget(), visible and self.isHidden()
+        if not (opened and isinstance(window, QMainWindow)):
+            super().setVisible(visible)
+            return
+        self._opened, self.opened_s = True, time.monotonic()
+        if self._neighbour is not None and window.width() < (self._narrower_than or math.inf):
+            window.tabifyDockWidget(self._neighbour, self)
+        self._neighbour = None
         super().setVisible(visible)
-        if first:
-            self.raise_()
-        if visible and self._at_hint and isinstance(window, QMainWindow):
-            self._at_hint = False
-            window.resizeDocks([self], [self.sizeHint().height()], Qt.Orientation.Vertical)
-        if visible and self._maximises and isinstance(window, QMainWindow):
-            area, own_tabs = window.dockWidgetArea(self), [self, *window.tabifiedDockWidgets(self)]
-            others = [
-                dock
-                for dock in window.findChildren(QDockWidget)
-                if window.dockWidgetArea(dock) == area and dock not in own_tabs and dock.isVisible()
-            ]
+        self.raise_()
+        self.restore_height()
+        if self._maximises:
+            own = [self, *window.tabifiedDockWidgets(self)]
+            others = [d for d in column(window, window.dockWidgetArea(self)) if d not in own]
             heights = [window.height(), *(1 for _ in others)]
             window.resizeDocks([self, *others], heights, Qt.Orientation.Vertical)
+
+    @property
+    def too_low(self) -> bool:
+        """Whether it was opened since this was asked last, and got too little height."""
+        opened, self._opened = self._opened and self._in_front, False
+        sized = self._sized or self._maximises
+        return opened and sized and self.height() < USABLE * self.sizeHint().height()
+
+    def event(self, event: QEvent) -> bool:
+        """Follow the size hint of the panel."""
+        done = super().event(event)
+        if event.type() == QEvent.Type.LayoutRequest and self.sizeHint().height() != self._hint:
+            self.restore_height()
+        return done
+
+    @property
+    def _in_front(self) -> bool:
+        return not self.visibleRegion().isEmpty()
+
+    def keep_height(self) -> None:
+        """Keep the present height, which the operator chose."""
+        if self._in_front:
+            self._above_hint = self.height() - self.sizeHint().height()
+
+    def forget_height(self) -> None:
+        """Keep the height of the next layout, which is that of a session."""
+        self._above_hint = None
+
+    def learn_height(self) -> None:
+        """Keep the height of this layout after `forget_height`."""
+        if self._above_hint is None:
+            self.keep_height()
+
+    def restore_height(self) -> None:
+        """Take the height to be kept unless hidden, by a tab too."""
+        if self._in_front:
+            self.take_height()
+
+    def take_height(self) -> None:
+        """Take the height to be kept, if the window has room for it."""
+        window, self._hint = self.parentWidget(), self.sizeHint().height()
+        if self._sized and self._above_hint is not None and isinstance(window, QMainWindow):
+            height = self._hint + self._above_hint
+            window.resizeDocks([self], [height], Qt.Orientation.Vertical)
+
+
+def column(window: QMainWindow, side: Qt.DockWidgetArea) -> list[Dock]:
+    """The docks shown at a side of the window, also behind tabs."""
+    docks = [dock for dock in window.findChildren(QDockWidget) if isinstance(dock, Dock)]
+    at_side = [dock for dock in docks if window.dockWidgetArea(dock) == side]
+    return [dock for dock in at_side if not (dock.isHidden() or dock.isFloating())]
+
+
+def make_tabs(window: QMainWindow, front: Dock) -> None:
+    """Make tabs of all docks at the side of the front one."""
+    first, *others = column(window, window.dockWidgetArea(front))
+    for dock in others:
+        window.tabifyDockWidget(first, dock)
+    front.raise_()
+    front.take_height()
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
