@@ -10,17 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtWidgets import (
-    QAbstractItemView,
     QComboBox,
     QFormLayout,
     QHBoxLayout,
-    QHeaderView,
     QLabel,
     QLineEdit,
     QPushButton,
     QSpinBox,
-    QTableWidget,
-    QTableWidgetItem,
 )
 
 from bubbleviz.calibration import Step
@@ -31,6 +27,7 @@ from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
+from bubbleviz_ui.shell.table import Table
 
 if TYPE_CHECKING:
     from bubbleviz.calibration import QuantityKind, SensorComparison, Validation
@@ -51,8 +48,7 @@ class ReportPage(Page):
         self.advice = QLabel(wordWrap=True)
         self.advice.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.compared = QLabel(wordWrap=True)
-        self.table = QTableWidget(0, 3)
-        self.table.setHorizontalHeaderLabels(["", "in use", "new"])
+        self.table = Table(("", "in use", "new"))
         self.view = ImageView("around zero")
         self.use_sensor = QPushButton("Use now")
         self.save_as = QPushButton("Save sensor as…")
@@ -88,11 +84,8 @@ class ReportPage(Page):
             unit = self._unit(row.kind)
             old = unit.with_interval(row.old, row.old_half_width)
             new = unit.with_interval(row.new, row.half_width)
-            for column, text in enumerate((row.name, old, new)):
-                self.table.setItem(number, column, QTableWidgetItem(text.rstrip()))
-        height = self.table.horizontalHeader().height() + 4
-        height += sum(self.table.rowHeight(k) for k in range(len(rows)))
-        self.table.setFixedHeight(height)
+            self.table.write(number, (row.name, old.rstrip(), new.rstrip()), right=range(0))
+        self.table.setFixedHeight(self.table.full_height)
 
     def _unit(self, kind: QuantityKind) -> Unit:
         units = self.units
@@ -115,17 +108,8 @@ class ReportPage(Page):
             self.save.emit(path)
 
     def _lay_out(self) -> None:
-        table = self.table
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        table.setToolTip("±: half of the 95 % interval, where it is known")
-        table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        table.verticalHeader().hide()
-        table.verticalHeader().setDefaultSectionSize(22)
-        header = table.horizontalHeader()
-        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
-        table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.table.setToolTip("±: half of the 95 % interval, where it is known")
+        self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         fill(self.column, self.compared, self.table, self.view, self.advice, 1)
         self.use_sensor.setToolTip(
             "Use the new sensor for the current source; undo restores the old one"

@@ -7,18 +7,14 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QColor, QPalette
+from PySide6.QtGui import QColor
 from PySide6.QtWidgets import (
-    QAbstractItemView,
     QCheckBox,
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
-    QHeaderView,
     QLabel,
     QSlider,
-    QTableWidget,
-    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
@@ -34,6 +30,7 @@ from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 STEPS_PER_DECADE = 100
@@ -263,15 +260,13 @@ def _heading(
 # Threshold panel: pressure histogram, κ-curve and parts of the patch.
 
 
-ROW = 20
-"""Height of a table row, screen pixels."""
 HEIGHT = 300
 """Height of both plots, screen pixels."""
 COLUMNS = ("Area", "Force", "Peak pressure", "")
-TIPS = {
-    "Force": "Magnitude of the force on the part, friction included; the force vectors of all "
-    "parts, removed ones included, add up to the force of the frame"
-}
+FORCE_TIP = (
+    "Force: magnitude of the force on the part, friction included; the force vectors of all parts, "
+    "removed ones included, add up to the force of the frame"
+)
 
 
 class ThresholdPanel(QWidget):
@@ -286,7 +281,7 @@ class ThresholdPanel(QWidget):
         self._host.seen.connect(self._draw)
         self.histogram: KappaHistogram | None = None
         self.curve: KappaPlot | None = None
-        self.table = QTableWidget(0, len(COLUMNS))
+        self.table = Table(COLUMNS, len(COLUMNS) - 1)
         self.least = control(state, "least_area_m2")
         self._lay_out()
         controller.shown.connect(self._draw)
@@ -294,20 +289,10 @@ class ThresholdPanel(QWidget):
 
     def _lay_out(self) -> None:
         row = fill(QHBoxLayout(), QLabel(self.least.accessibleName()), (self.least, 1))
-        table = self.table
-        for column, title in enumerate(COLUMNS):
-            header = QTableWidgetItem(title)
-            header.setToolTip(TIPS.get(title, ""))
-            table.setHorizontalHeaderItem(column, header)
-        table.verticalHeader().hide()
-        table.verticalHeader().setDefaultSectionSize(ROW)
-        table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        table.horizontalHeader().setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        table.horizontalHeader().setStretchLastSection(True)
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        table.setMinimumHeight(96)
-        fill(QVBoxLayout(self), (self._host, 2), row, (table, 1), margins=(8, 6, 8, 8), spacing=6)
+        self.table.horizontalHeader().setToolTip(FORCE_TIP)
+        self.table.setMinimumHeight(96)
+        parts = (self._host, 2), row, (self.table, 1)
+        fill(QVBoxLayout(self), *parts, margins=(8, 6, 8, 8), spacing=6)
 
     def _make(self) -> list[Part]:
         self.histogram, self.curve = KappaHistogram(), KappaPlot()
@@ -337,19 +322,14 @@ class ThresholdPanel(QWidget):
 
     def _fill(self, parts: tuple[Component, ...]) -> None:
         units, least = self._state.units, self._state.settings.least_area_m2
-        self.table.setRowCount(len(parts))
+        self.table.setRowCount(len(parts) or 1)
+        self.table.write(0, (DASH, "", "", ""), right=range(0))
         for row, part in enumerate(parts):
+            removed = part.area_m2 < least
             texts = (
                 units.area.text(part.area_m2),
                 units.force.text(part.force_magnitude_n),
                 units.pressure.text(part.peak_pa),
-                "contact" if part.area_m2 >= least else "removed",
+                "removed" if removed else "contact",
             )
-            for column, text in enumerate(texts):
-                item = QTableWidgetItem(text)
-                if part.area_m2 < least:
-                    item.setForeground(self.palette().color(QPalette.ColorRole.PlaceholderText))
-                self.table.setItem(row, column, item)
-        if not parts:
-            self.table.setRowCount(1)
-            self.table.setItem(0, 0, QTableWidgetItem(DASH))
+            self.table.write(row, texts, right=range(0), dim=removed)

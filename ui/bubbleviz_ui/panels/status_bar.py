@@ -5,15 +5,11 @@ from __future__ import annotations
 import math
 
 from PySide6.QtCore import QPoint, QSize, Qt, QTimer, Signal
-from PySide6.QtGui import QColor, QMouseEvent, QResizeEvent
+from PySide6.QtGui import QMouseEvent, QResizeEvent
 from PySide6.QtWidgets import (
-    QAbstractItemView,
     QFrame,
-    QHeaderView,
     QLabel,
     QStatusBar,
-    QTableWidget,
-    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
@@ -28,8 +24,8 @@ from bubbleviz_ui.model.registry import LAYERS, RESULT_PANELS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text, tangential_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
-from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import Elided, fill
+from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.view3d.render_view import View
 
 TIPS = {
@@ -117,8 +113,7 @@ class StatusBar(QStatusBar):
 
     def show_source(self, facts: SourceFacts, sensor: str) -> None:
         """Show what is constant for a source; `sensor`: its name and file."""
-        self._sensor = sensor
-        self._show_sensor()
+        self.labels["sensor"].setText(sensor)
         self.labels["sensor"].setToolTip(f"Sensor: {sensor}; source: {facts.title}")
         self.labels["camera"].setText(f"camera {self._units.rate.text(facts.rate_hz)}")
         zero = f"\n{facts.gas_zero}" if facts.gas_zero else ""
@@ -176,10 +171,9 @@ class StatusBar(QStatusBar):
         super().mousePressEvent(event)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Give the sensor's name the remaining width."""
+        """Hide labels that do not fit."""
         super().resizeEvent(event)
         self._fit()
-        self._show_sensor()
 
     def minimumSizeHint(self) -> QSize:
         """No minimum width."""
@@ -197,12 +191,6 @@ class StatusBar(QStatusBar):
         for name, label in self.labels.items():
             label.setVisible(name in shown)
 
-    def _show_sensor(self) -> None:
-        label = self.labels["sensor"]
-        room = max(label.width(), label.minimumWidth())
-        elide = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file
-        label.setText(label.fontMetrics().elidedText(self._sensor, elide, room))
-
     def _gas_text(self, frame: int, history: FrameHistory) -> str:
         """Gas pressure change of a frame: measured, else from the gas law."""
         curves = [history.quantity(name) for name in ("gas_measured_pa", "gas_law_pa")]
@@ -211,15 +199,13 @@ class StatusBar(QStatusBar):
         return f"p_v {self._units.gas_pressure.text(change, signed=True)}"
 
     _solve_ms: float | None = None
-    _sensor = ""
 
     def _label(self, name: str) -> QLabel:
-        label = QLabel()
+        middle = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file
+        label = Elided(middle) if name == "sensor" else QLabel()
         label.setObjectName(f"status_{name}")
         label.setToolTip(TIPS[name])
         label.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        if name == "sensor":
-            label.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         return label
 
 
@@ -252,7 +238,7 @@ class PerformancePopup(QFrame):
             stage_times,
             view,
         )
-        self.table = QTableWidget(0, len(COLUMNS))
+        self.table = Table(COLUMNS, len(COLUMNS) - 1)
         self.drawing = QLabel()
         self.hint = QLabel(
             "Hiding a layer or closing a panel stops computations that only it needs."
@@ -278,10 +264,9 @@ class PerformancePopup(QFrame):
         lines = self._stage_times.table(self._state.settings, counts, analysing=analysing)
         self.table.setRowCount(len(lines))
         for row, line in enumerate(lines):
-            for column, text in enumerate(self._texts(line)):
-                self._write(row, column, text, idle=not line.requested_by and line.stage != "total")
-        height = self.table.horizontalHeader().height() + 2
-        self.table.setFixedHeight(height + sum(self.table.rowHeight(r) for r in range(len(lines))))
+            idle = not line.requested_by and line.stage != "total"
+            self.table.write(row, self._texts(line), right=range(1, len(COLUMNS) - 1), dim=idle)
+        self.table.setFixedHeight(self.table.full_height)
         view, duration = self._view, self._state.units.duration
         each = 1e3 * view.busy_s / view.render_count if view.render_count else None
         self.drawing.setText(
@@ -296,34 +281,12 @@ class PerformancePopup(QFrame):
         last, typical = duration.text(line.last_ms), duration.text(line.median_ms)
         return line.title, last, typical, f"{line.runs}×", why
 
-    def _write(self, row: int, column: int, text: str, *, idle: bool) -> None:
-        item = self.table.item(row, column)
-        if item is None:
-            item = QTableWidgetItem()
-            self.table.setItem(row, column, item)
-            if 0 < column < len(COLUMNS) - 1:
-                side = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-                item.setTextAlignment(side)
-        item.setText(text)
-        item.setToolTip(text)
-        colours = theme.of(self)
-        item.setForeground(QColor(colours.dim if idle else colours.text))
-
     def _lay_out(self) -> None:
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setFixedWidth(WIDTH)
         title = QLabel("Performance")
         title.setObjectName("value")
-        table = self.table
-        table.setHorizontalHeaderLabels(COLUMNS)
-        table.verticalHeader().hide()
-        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        table.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        table.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        header = table.horizontalHeader()
-        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
-        header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
-        fill(QVBoxLayout(self), title, table, self.drawing, self.hint)
+        fill(QVBoxLayout(self), title, self.table, self.drawing, self.hint)
 
 
 def _title(name: str) -> str:

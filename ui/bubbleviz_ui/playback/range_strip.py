@@ -9,12 +9,9 @@ import numpy as np
 from PySide6.QtCore import QEvent, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
-    QAbstractItemView,
     QApplication,
     QPushButton,
     QSizePolicy,
-    QTableWidget,
-    QTableWidgetItem,
     QWidget,
 )
 
@@ -24,6 +21,7 @@ from bubbleviz.recordings import TimeAxis
 from bubbleviz_ui.model.units import DASH, Unit
 from bubbleviz_ui.playback.frame_ranges import tidy
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.table import ROW, Table
 
 HEIGHT = 16
 MARGIN = 7
@@ -203,7 +201,6 @@ class RangeStrip(QWidget):
 # Statistics of the curves over the range on the timeline.
 
 
-ROW = 18  # px
 NUMBERS = {
     "mean": "mean",
     "standard_deviation": "standard deviation",
@@ -222,7 +219,7 @@ class Curve:
     values: np.ndarray  # (n,) SI values of the frames in the range; NaN where unknown
 
 
-class RangeTable(QTableWidget):
+class RangeTable(Table):
     """Statistics with a column for each curve; hidden without a range."""
 
     def __init__(self) -> None:
@@ -230,11 +227,6 @@ class RangeTable(QTableWidget):
         # placed by the owner; visible with the table
         self.copy = QPushButton("Copy table")
         self.copy.setToolTip("Copy mean, spread and extremes over the range, for a spreadsheet")
-        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self.setSelectionMode(QAbstractItemView.SelectionMode.NoSelection)
-        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.verticalHeader().setMinimumSectionSize(ROW)
-        self.verticalHeader().setDefaultSectionSize(ROW)
         self.setRowCount(len(NUMBERS) + 1)
         self.setVerticalHeaderLabels([*NUMBERS.values(), "frames"])
         self._text = ""
@@ -258,23 +250,17 @@ class RangeTable(QTableWidget):
         self._text = text
         self.setColumnCount(len(columns))
         self.setHorizontalHeaderLabels([_heading(curve) for curve, _ in columns])
-        for k, (curve, known) in enumerate(columns):
-            for row, text in enumerate(_shown(curve, known)):
-                item = QTableWidgetItem(text)
-                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-                self.setItem(row, k, item)
+        for row, texts in enumerate(zip(*(_shown(*each) for each in columns), strict=True)):
+            self.write(row, texts, right=range(len(columns)))
         self._fit()
         for widget in (self, self.copy):
             widget.setVisible(bool(columns))
 
     def _fit(self) -> None:
         """Be as high as the rows, or scroll on a low screen."""
-        self.resizeColumnsToContents()
-        bar = self.horizontalScrollBar().sizeHint().height()
-        head = self.horizontalHeader().sizeHint().height()
-        rest = head + bar + 2 * self.frameWidth()
-        self.setMaximumHeight(rest + self.verticalHeader().length())
-        self.setMinimumHeight(rest + ROW)
+        least = self.full_height + self.horizontalScrollBar().sizeHint().height()
+        self.setMaximumHeight(least)
+        self.setMinimumHeight(least - (len(NUMBERS)) * ROW)
 
 
 def _heading(curve: Curve) -> str:
