@@ -65,7 +65,7 @@ def test_export_table_of_the_chosen_range_with_poses(bench, tmp_path):
     state.set_range((3, 8))
     state.change(kappa=2.0)
     bench.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
-    assert bench.dialog.step.text() == "every 2nd frame"
+    assert bench.dialog.step.text() == "one of 2 frames"
     out = tmp_path / "mine.csv"
     assert "3 frames" in bench.export("Table", out)
     with out.open() as file:

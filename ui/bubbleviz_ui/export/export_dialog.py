@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from PySide6.QtCore import QEvent, Qt
-from PySide6.QtGui import QValidator
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -30,25 +29,6 @@ MOST_STEP = 1000  # frames
 WIDTH = 460  # px
 
 
-class StepBox(QSpinBox):
-    """Number box that shows 2 as 2nd."""
-
-    def textFromValue(self, value: int) -> str:
-        """2 as 2nd."""
-        usual = {1: "st", 2: "nd", 3: "rd"}.get(value % 10, "th")
-        return f"{value}{'th' if value % 100 in (11, 12, 13) else usual}"
-
-    def valueFromText(self, text: str) -> int:
-        """Parse 2nd or 2."""
-        return int(_digits(text) or 1)
-
-    def validate(self, text: str, position: int) -> tuple[QValidator.State, str, int]:
-        """Accept any text with a number in range."""
-        inside = 1 <= int(_digits(text) or 0) <= MOST_STEP
-        state = QValidator.State.Acceptable if inside else QValidator.State.Intermediate
-        return state, text, position
-
-
 class ExportDialog(QDialog):
     """Non-modal dialog for exports."""
 
@@ -64,9 +44,9 @@ class ExportDialog(QDialog):
         self.kind.setToolTip("What to export")
         self.frames = QComboBox()
         self.frames.setToolTip("Frames to export; set a range on the timeline or with [ and ]")
-        self.step = StepBox(minimum=1, maximum=MOST_STEP, prefix="every ", suffix=" frame")
+        self.step = QSpinBox(minimum=1, maximum=MOST_STEP, prefix="one of ", suffix=" frames")
         self.step.setSpecialValueText("every frame")
-        self.step.setToolTip("Export every frame, every 2nd, every 3rd …")
+        self.step.setToolTip("Export every frame, or one of 2, 3 … frames")
         self.captioned = QCheckBox("Frame number and time in the picture")
         self.captioned.setChecked(True)
         self.captioned.setToolTip("Written at the bottom of every picture of the video")
@@ -181,7 +161,3 @@ class ExportDialog(QDialog):
 
     def _show_message(self, message: UserMessage) -> None:
         self.message.setText(message.text)
-
-
-def _digits(text: str) -> str:
-    return "".join(letter for letter in text if letter.isdigit())
