@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer
-from PySide6.QtGui import QColor, QIcon, QPainter, QPixmap, QPolygonF, QResizeEvent
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
@@ -20,48 +20,9 @@ from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.panels.binding import bind, control, tool_button
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
-from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
-# Playback icons, drawn in the theme's colours.
-
-
-SIZE = 64
-SHAPES: dict[str, tuple[tuple[str, float], ...]] = {
-    "play": (("right", 0.5),),
-    "pause": (("bar", 0.34), ("bar", 0.66)),
-    "back": (("bar", 0.72), ("left", 0.42)),
-    "forward": (("bar", 0.28), ("right", 0.58)),
-    "first": (("bar", 0.16), ("left", 0.40), ("left", 0.74)),
-    "last": (("right", 0.26), ("right", 0.60), ("bar", 0.84)),
-}
-"""Each icon as triangles and bars with their centres, from left to right."""
-
-
-def icon(name: str, colours: theme.Colours) -> QIcon:
-    """Icon of one playback action."""
-    pixmap = QPixmap(SIZE, SIZE)
-    pixmap.fill(Qt.GlobalColor.transparent)
-    painter = QPainter(pixmap)
-    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-    painter.setPen(Qt.PenStyle.NoPen)
-    painter.setBrush(QColor(colours.text))
-    for shape, centre in SHAPES[name]:
-        if shape == "bar":
-            painter.drawRect(QRectF((centre - 0.06) * SIZE, 0.2 * SIZE, 0.12 * SIZE, 0.6 * SIZE))
-        else:
-            painter.drawPolygon(_triangle(centre, 1.0 if shape == "right" else -1.0, name))
-    painter.end()
-    return QIcon(pixmap)
-
-
-def _triangle(centre: float, direction: float, name: str) -> QPolygonF:
-    half = 0.30 if name == "play" else 0.17
-    tip, base = centre + direction * half, centre - direction * half
-    corners = ((base, 0.2), (tip, 0.5), (base, 0.8))
-    return QPolygonF([QPointF(x * SIZE, y * SIZE) for x, y in corners])
-
-
+PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
 """Period of timeline repaints for new numbers during playback."""
 SECOND_STEPS = {
@@ -91,11 +52,11 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.first = tool_button("", "First frame (Home)")
-        self.back = tool_button("", "Previous frame (←)")
-        self.play = tool_button("", "Play or pause (Space)")
-        self.forward = tool_button("", "Next frame (→)")
-        self.last = tool_button("", "Last frame (End)")
+        self.first = tool_button("▮◀◀", "First frame (Home)")
+        self.back = tool_button("◀▮", "Previous frame (←)")
+        self.play = tool_button(PAUSE, "Play or pause (Space)")
+        self.forward = tool_button("▮▶", "Next frame (→)")
+        self.last = tool_button("▶▶▮", "Last frame (End)")
         self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
         self._timeline_timer = QTimer(self, singleShot=True, interval=TIMELINE_EVERY_MS)
@@ -168,7 +129,7 @@ class PlaybackPanel(QWidget):
     def _show_all(self) -> None:
         facts, live = self._state.facts, False
         self.setEnabled(facts is not None)
-        self._show_icons()
+        self.play.setText(PAUSE if self._state.playing else PLAY)
         self.freeze.setChecked(self._state.frozen)
         if facts is not None:
             live = facts.live
@@ -195,18 +156,6 @@ class PlaybackPanel(QWidget):
         self.readout.setVisible(self.width() >= needed)
         for button in jumps:
             button.setVisible(self.width() >= needed + _width(jumps))
-
-    def changeEvent(self, event: QEvent) -> None:
-        """Follow the window's theme."""
-        super().changeEvent(event)
-        if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
-            self._show_icons()
-
-    def _show_icons(self) -> None:
-        colours = theme.of(self)
-        self.play.setIcon(icon("pause" if self._state.playing else "play", colours))
-        for name in ("first", "back", "forward", "last"):
-            getattr(self, name).setIcon(icon(name, colours))
 
     def show_frame(self) -> None:
         """Show the current frame; during playback the one drawn."""
