@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,11 +27,11 @@ from bubbleviz.live import (
     LatencyMeter,
     LiveStream,
     Recorder,
-    ResultMessages,
+    ResultSender,
     ZenohPublisher,
     open_stream,
 )
-from bubbleviz.recordings import AUTO, RESULTS, Frame, Message
+from bubbleviz.recordings import AUTO, Frame, Message
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
 
 _POLL_S = 0.1  # polling period of the stream; chosen
-_DIAGNOSTICS_S = 1.0  # period of diagnostics messages, as usual in ROS
 
 
 class Watcher:
@@ -203,26 +202,22 @@ def watch(
             subscribed = publisher is not None and publisher.is_subscribed(topic, kind)
             return subscribed or recorder is not None
 
-        return _watch(watcher, send, is_wanted, stop, duration_s)
+        return _watch(watcher, ResultSender(stream, send, is_wanted), stop, duration_s)
 
 
 def _watch(
     watcher: Watcher,
-    send: Callable[[Message], None],
-    is_wanted: Callable[[str, str], bool],
+    send: ResultSender,
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
     stream, zero, texture = watcher.stream, watcher.solver.zero, watcher.solver.texture
     pipeline = watcher.solver.pipeline
-    messages = ResultMessages(pipeline.mesh, RESULTS, obj=pipeline.object)
     statuses: Counter[str] = Counter()
     max_force_n: float | None = None
     shear = None if texture is None else ShearSummary()
-    began = reported = time.monotonic()
+    began = time.monotonic()
     silent = False
-    for message in messages.placed(stream):
-        send(message)
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
         for result in _until_over(watcher, stop, duration_s):
             if result is not None:
@@ -231,15 +226,12 @@ def _watch(
                     max_force_n = max(max_force_n or 0.0, float(np.linalg.norm(trusted.force_n)))
                 if shear is not None:
                     shear.add(result)
-                for message in messages.of(result, is_wanted):
-                    send(message)
+                send(result, pipeline)
                 bar.update()
             silent = _warn_of_silence(stream, silent)
-            if time.monotonic() - reported >= _DIAGNOSTICS_S:
-                reported, status = time.monotonic(), stream.status()
-                counters, newest = stream.counters, _newest(watcher.last, texture)
-                send(messages.diagnostics(time.time_ns(), status, counters, watcher.last))
-                bar.set_postfix_str(", ".join(filter(None, (*newest, status.text))))
+            if send.diagnose():
+                newest = _newest(watcher.last, texture)
+                bar.set_postfix_str(", ".join(filter(None, (*newest, stream.status().text))))
     elapsed = time.monotonic() - began
     latency = watcher.latency.report()
     if shear is not None and texture is not None:

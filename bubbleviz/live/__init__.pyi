@@ -32,6 +32,7 @@ from .result_messages import (
     POSE as POSE,
     RESULT_TOPICS as RESULT_TOPICS,
     ResultMessages as ResultMessages,
+    ResultSender as ResultSender,
 )
 from .topic_names import (
     DEPTH_TYPES as DEPTH_TYPES,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from bubbleviz.live.live_stream import LiveStream, Status
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import (
     POINT_CLOUD,
+    RESULTS,
     WRENCH,
     Message,
     make_header,
@@ -26,11 +27,15 @@ from bubbleviz.recordings import (
 from bubbleviz.result import Estimate, Result, Traction
 from bubbleviz.rigid_object import RigidObject
 
+if TYPE_CHECKING:
+    from bubbleviz.pipeline import Pipeline
+
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POINT = "geometry_msgs/msg/PointStamped"
 NUMBER = "std_msgs/msg/Float64"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
+_DIAGNOSTICS_S = 1.0  # period, as usual in ROS
 _OK, _WARN, _ERROR, _STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatus
 _LEVELS = {"ok": _OK, "no_contact": _OK, "no_data": _WARN}
 _UINT8, _FLOAT32 = 2, 7  # datatypes of sensor_msgs/PointField
@@ -107,6 +112,46 @@ class ResultMessages:
         )
         message = kinds[DIAGNOSTICS](make_header(now_ns, ""), [body])
         return Message("/diagnostics", DIAGNOSTICS, serialise(message, DIAGNOSTICS), now_ns)
+
+
+class ResultSender:
+    """Sends the results of a stream as messages, and once a second their diagnostics."""
+
+    def __init__(
+        self,
+        stream: LiveStream,
+        send: Callable[[Message], None],
+        is_wanted: Callable[[str, str], bool],  # As in `ResultMessages.of`
+        name: str = "",  # Of one of two sensors: part of the topics, and the frame id
+    ) -> None:
+        self._stream, self._send, self._is_wanted, self._name = stream, send, is_wanted, name
+        self._messages: ResultMessages | None = None
+        self._object: RigidObject | None = None
+        self._last: Result | None = None
+        self._last_s = 0.0
+
+    def __call__(self, result: Result, pipeline: Pipeline) -> None:
+        """Send a result of a pipeline; first its pose, if pipeline or object are others."""
+        mesh, obj = pipeline.mesh, pipeline.object
+        if self._messages is None or self._messages.mesh is not mesh or self._object is not obj:
+            self._object = obj
+            frame_id = self._name or "bubble"
+            self._messages = ResultMessages(mesh, f"{RESULTS}{self._name}", frame_id, obj)
+            for message in self._messages.placed(self._stream):
+                self._send(message)
+        self._last = result
+        for message in self._messages.of(result, self._is_wanted):
+            self._send(message)
+
+    def diagnose(self) -> bool:
+        """Send the diagnostics if they are due, and whether they were."""
+        now = time.monotonic()
+        due = self._messages is not None and now - self._last_s >= _DIAGNOSTICS_S
+        if self._messages is not None and due:
+            self._last_s = now
+            status, counters = self._stream.status(), self._stream.counters
+            self._send(self._messages.diagnostics(time.time_ns(), status, counters, self._last))
+        return due
 
 
 def _level(status: Status, estimate: Estimate | None) -> tuple[int, str]:

@@ -10,12 +10,9 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.live import LiveStream, ResultMessages
-from bubbleviz.membrane import MembraneMesh
-from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.recordings import RESULTS, Message, are_static_poses
-from bubbleviz.result import Result
-from bubbleviz.rigid_object import RigidObject
+from bubbleviz.live import ResultSender
+from bubbleviz.pipeline import Product
+from bubbleviz.recordings import Message, are_static_poses
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.model.messages import UserMessage
@@ -25,48 +22,8 @@ if TYPE_CHECKING:
     from bubbleviz.live import ZenohPublisher
 
 
-# Sends the results of one sensor as ROS 2 messages. No Qt.
-
-
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose", "node_residual"})
 """Products that are published; the pose only while an object is tracked."""
-DIAGNOSTICS_S = 1.0  # period of diagnostics, as usual in ROS
-
-
-class ResultSender:
-    """Converts the results of a stream to messages.
-
-    `name`: Of the sensor, if there are two; part of the topics, and the frame id.
-    """
-
-    def __init__(self, stream: LiveStream, send: _Sender, name: str = "") -> None:
-        self._stream, self._send = stream, send
-        self._prefix, self._frame_id = f"{RESULTS}{name}", name or "bubble"
-        self._mesh: MembraneMesh | None = None
-        self._obj: RigidObject | None = None
-        self._messages: ResultMessages | None = None
-        self._last: Result | None = None
-        self._last_s = 0.0
-
-    def __call__(self, result: Result, pipeline: Pipeline) -> None:
-        """Send a result; called in the solver thread."""
-        mesh, obj = pipeline.mesh, pipeline.object
-        if self._messages is None or self._mesh is not mesh or self._obj is not obj:
-            self._mesh, self._obj = mesh, obj
-            self._messages = ResultMessages(mesh, self._prefix, self._frame_id, obj)
-            for message in self._messages.placed(self._stream):
-                self._send(message)
-        self._last = result
-        for message in self._messages.of(result, self._send.is_wanted):
-            self._send(message)
-
-    def diagnose(self) -> None:
-        """Send the diagnostics of source and estimate, once a second."""
-        now = time.monotonic()
-        if self._messages is not None and now - self._last_s >= DIAGNOSTICS_S:
-            self._last_s = now
-            status, counters = self._stream.status(), self._stream.counters
-            self._send(self._messages.diagnostics(time.time_ns(), status, counters, self._last))
 
 
 class Publishing(QObject):
@@ -144,7 +101,8 @@ class Publishing(QObject):
         several = len(run.frames) > 1
         for frames, each in zip(run.frames, run.session.sensors, strict=True):
             send = _Sender(self, run)
-            sender = ResultSender(frames.stream, send, each.place.name if several else "")
+            name = each.place.name if several else ""
+            sender = ResultSender(frames.stream, send, send.is_wanted, name)
             self._senders.append(sender)
             self._unsubscribe.append(frames.listen(sender))
 
