@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Ranges, Step, frame_numbers
+from bubbleviz.calibration import Ranges, Step, as_ranges, frame_numbers
 from bubbleviz.recordings import SIGNIFICANT, ContactFree, HeldFrames, TimeAxis
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import Page
@@ -27,7 +27,6 @@ from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.calibration.frame_collector import Collector
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.playback.frame_ranges import in_words, tidy, without
 from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
@@ -180,7 +179,8 @@ class FramesPage(Page):
             self.message.setText("Collect frames of the live source." if live else "")
             return
         found = answer.draft.contact_free
-        text = f"frames {in_words(ranges)}: {count} of {answer.frames}"
+        words = ", ".join(f"{a}–{b - 1}" if b - a > 1 else f"{a}" for a, b in ranges) or "none"
+        text = f"frames {words}: {count} of {answer.frames}"
         if found is not None and answer.work.settings.ranges is None:
             text += f" – found automatically; {ENDED_BY[found.ended_by]}"
         self.message.setText(text)
@@ -192,19 +192,21 @@ class FramesPage(Page):
     def _step_reached(self) -> Step:
         return max(self.calibration.settings.last_step, Step.FRAMES)
 
+    @property
+    def _chosen(self) -> range:
+        return range(self.first.value(), self.last.value() + 1)
+
     def _on_add(self) -> None:
-        answer = self.calibration.answer
-        more = (self.first.value(), self.last.value() + 1)
-        self.set_ranges(tidy([*self.ranges(answer), more], answer.frames), "Add frames")
+        present = frame_numbers(self.ranges(self.calibration.answer))
+        self.set_ranges(as_ranges([*present, *self._chosen]), "Add frames")
 
     def _on_replace(self) -> None:
-        new = (self.first.value(), self.last.value() + 1)
-        self.set_ranges(tidy([new], self.calibration.answer.frames), "Replace frames")
+        self.set_ranges(as_ranges(self._chosen), "Replace frames")
 
     def _on_remove(self) -> None:
-        first, last = self.first.value(), self.last.value()
-        left = without(self.ranges(self.calibration.answer), first, last + 1)
-        self.set_ranges(left, f"Remove frames {first}–{last}")
+        present = frame_numbers(self.ranges(self.calibration.answer))
+        removed = f"Remove frames {self.first.value()}–{self.last.value()}"
+        self.set_ranges(as_ranges({*present} - {*self._chosen}), removed)
 
     def _lay_out(self) -> None:
         fill(self.column, self.plot, self.strip, self.message)

@@ -15,11 +15,10 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Ranges
+from bubbleviz.calibration import Ranges, as_ranges, frame_numbers
 from bubbleviz.diagnostics import Statistics, statistics
 from bubbleviz.recordings import TimeAxis
 from bubbleviz_ui.model.units import DASH, Unit
-from bubbleviz_ui.playback.frame_ranges import tidy
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.table import ROW, Table
 
@@ -133,8 +132,9 @@ class RangeStrip(QWidget):
             )
             return
         if self._drag_start is not None:
-            ends = sorted((self._drag_start, self._frame(x)))
-            self._dragged_ranges = tidy([*self.ranges, (ends[0], ends[1] + 1)], len(self._axis))
+            first, last = sorted((self._drag_start, self._frame(x)))
+            more = (*self.ranges, (first, last + 1))
+            self._dragged_ranges = as_ranges(frame_numbers(more))
         elif self._dragged_ranges is not None:
             self._dragged_ranges = self._moved(self.ranges, self._handle, self._frame(x))
         self.update()
@@ -189,9 +189,11 @@ class RangeStrip(QWidget):
     def _moved(self, ranges: Ranges, handle: Handle, frame: int) -> Ranges:
         """Ranges with one end moved, at most to the other end."""
         number, end = handle
+        frame = min(max(frame, 0), len(self._axis) - 1)
         start, stop = ranges[number]
         moved = (start, max(frame, start) + 1) if end else (min(frame, stop - 1), stop)
-        return tidy([r for k, r in enumerate(ranges) if k != number] + [moved], len(self._axis))
+        others = tuple(r for k, r in enumerate(ranges) if k != number)
+        return as_ranges(frame_numbers((*others, moved)))
 
     def _emit_edited(self, ranges: Ranges, what: str) -> None:
         if ranges != self.ranges:
