@@ -49,7 +49,7 @@ from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
-from bubbleviz_ui.panels.plot_host import PlotHost
+from bubbleviz_ui.panels.plot_host import PlotHost, import_plots
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.second_membrane import SecondMembrane
 from bubbleviz_ui.panels.status_bar import PerformancePopup, StatusBar
@@ -92,6 +92,8 @@ NARROW = 1000
 IMAGES_BESIDE_VIEW = 1200
 """Below this width, px, the images panel is a tab of the plots panel."""
 RATES_EVERY_MS = 500
+PLOTS_AFTER_S = 2.0
+"""Time after the first source is open when the plotting library is imported, in a thread."""
 UNDO_STEPS = 200
 """Limited because some steps hold collected frames."""
 NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS
@@ -161,7 +163,7 @@ class MainWindow(QMainWindow):
         self._source: object = None
         self._confirms_close = True
         self._export: ExportDialog | None = None
-        self.importing, self._reading = Worker("import"), Worker("information")
+        self.importing, self._reading = Worker("import"), Worker("reading")
         self._import: ImportDialog | None = None
         self._memory = MemoryRelease(state)
         self._docks: dict[str, Dock] = {}
@@ -309,7 +311,7 @@ class MainWindow(QMainWindow):
             host.close_canvas()
         self.calibration.close_all()
         self.exporting.close()
-        for worker in (self.importing, self._reading, self.pose.loading, self.compare.other.worker):
+        for worker in (self.importing, self._reading, self.compare.other.worker):
             worker.cancel()
             worker.close()
         self._memory.close()
@@ -549,6 +551,8 @@ class MainWindow(QMainWindow):
         self.calibration.calibration.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:
+        if self._source is None:
+            self._reading.submit(import_plots, due_s=time.perf_counter() + PLOTS_AFTER_S)
         if opened.request.source is not self._source:  # reopening the same keeps the focus
             self._source = opened.request.source
             self.view.setFocus()

@@ -24,14 +24,13 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import bind_membership, control
-from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost, import_plots
+from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
 from bubbleviz_ui.shell.dock import fill
@@ -63,7 +62,6 @@ class Curves(PlotHost):
         self.setToolTip(
             "Fitness and rmse. Top: at each iteration of both stages; bottom: of each frame so far"
         )
-        self.prepare()
 
     def _fill(self) -> list[Part]:
         self.iterations, self.frames = _pair("number"), _pair("seconds")
@@ -226,8 +224,8 @@ class PosePanel(QWidget):
         super().__init__()
         self.setAcceptDrops(True)
         self._state, self.session = state, session
-        self._curves: Curves | None = None
-        self.loading = Worker("plots")  # Imports the plotting library
+        self.curves = Curves(state.units)
+        self.curves.hide()  # until there is a pose
         self.object = QComboBox()
         self.unit = control(state, "pose_unit")
         self.start = StartBoxes(state.units)
@@ -275,12 +273,7 @@ class PosePanel(QWidget):
 
     def use_file(self, path: Path) -> None:
         """Register the object of a mesh file, in the chosen unit."""
-        self._choose(str(path.absolute()))
-
-    def _choose(self, name: str | None) -> None:
-        """Register an object, or none; meanwhile import the plotting library."""
-        self.loading.submit(import_plots)
-        self.session.choose(name)
+        self.session.choose(str(path.absolute()))
 
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
@@ -322,8 +315,7 @@ class PosePanel(QWidget):
         form.addRow(self.stage.accessibleName(), self.stage)
         form.addRow("Outline", self.patch)
         column.addLayout(form)
-        self._curves_column = QVBoxLayout()
-        fill(column, self._curves_column, _row(QLabel("Export"), self.csv, self.tum), 1)
+        fill(column, self.curves, _row(QLabel("Export"), self.csv, self.tum), 1)
         for name, value in self.values.items():
             value.setObjectName(f"pose_{name}")
             value.setWordWrap(True)
@@ -347,6 +339,7 @@ class PosePanel(QWidget):
         self.copy.clicked.connect(lambda: self._copy())
         self.csv.clicked.connect(lambda: self._export("csv"))
         self.tum.clicked.connect(lambda: self._export("tum"))
+        self.curves.seen.connect(self._draw_curves)
         session.changed.connect(self._on_changed)
         state.settings_changed.connect(self._on_settings)
 
@@ -367,7 +360,7 @@ class PosePanel(QWidget):
     def _on_object(self) -> None:
         name = self.object.currentData()
         if name != FROM_FILE:
-            self._choose(name)
+            self.session.choose(name)
             return
         path = file_to_open(self, "Object", MESHES, of="object")
         if path is not None:
@@ -448,10 +441,11 @@ class PosePanel(QWidget):
         self.patch.setText(f"{title}: {area}" if area else title)
 
     def _draw_curves(self) -> None:
-        pose = self.session.pose
-        if pose is None and self._curves is None:
+        pose, curves = self.session.pose, self.curves
+        if pose is not None:
+            curves.show()
+        if not curves.ready:
             return
-        curves = self._get_curves()
         if pose is None:
             curves.clear()
         elif pose.stage_one is not None and pose.stage_two is not None:
@@ -463,12 +457,6 @@ class PosePanel(QWidget):
             numbers, times = np.array([(row["frame"], row["time_s"]) for row in rows]).T
             values = np.array([(row["fitness"], row["rmse_m"]) for row in rows])
             curves.draw_frames(numbers, times, values)
-
-    def _get_curves(self) -> Curves:
-        if self._curves is None:
-            self._curves = Curves(self._state.units)
-            self._curves_column.addWidget(self._curves)
-        return self._curves
 
 
 def _row(*widgets: QWidget) -> QHBoxLayout:
