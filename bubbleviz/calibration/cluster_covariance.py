@@ -19,6 +19,7 @@ from bubbleviz.recordings import DepthStatistics, mean_inflation
 _MIN_TILES = 30  # fewer determine their spread poorly
 _MIN_BLOCKS = 5  # of frames in the recording, however long the correlation
 _BLOCK_INFLATIONS = 2.0  # length of a block of frames in correlation times
+_PART = 2**12  # pixels treated at a time, so that their errors fit the processor's cache
 
 
 def tile_side(pixels: int, correlation_length_px: float) -> int:
@@ -58,18 +59,17 @@ def cluster_covariances(
     tiles, (count, numbers) = int(tile.max()) + 1, influence.shape
     place = (tile[None] + tiles * np.arange(numbers)[:, None]).ravel()
     entries = influence.T.ravel(), (place, np.tile(np.arange(count), numbers))
-    sums = sparse.csr_array(entries, shape=(numbers * tiles, count))
-    kept = np.zeros(count)
-    for image in frames:
-        kept += np.abs(image - mean_m) <= limit_m
-    share = 1.0 / np.maximum(kept, 1.0)
-    moving = np.empty((len(frames), tiles, numbers))
-    for k, image in enumerate(frames):
-        error = image - mean_m
-        error = np.where(np.abs(error) <= limit_m, error, 0.0) * share
-        moving[k] = (sums @ error).reshape(numbers, tiles).T
-        progress("error of the mean", (k + 1) / len(frames))
+    sums = sparse.csc_array(entries, shape=(numbers * tiles, count))
+    moving = np.zeros((numbers * tiles, len(frames)))
+    for start in range(0, count, _PART):
+        part = slice(start, start + _PART)
+        error = frames[:, part] - mean_m[part]
+        kept = np.abs(error) <= limit_m[part]
+        error = np.where(kept, error, 0.0) / np.maximum(kept.sum(axis=0), 1)
+        moving += sums[:, part] @ error.T
+        progress("error of the mean", min(1.0, part.stop / count))
     static = (sums @ residual_m).reshape(numbers, tiles).T
+    moving = moving.reshape(numbers, tiles, -1).transpose(2, 1, 0)
     block = _BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)
     return covariances(static, moving, parameters, max(1, round(block)))
 

@@ -27,36 +27,40 @@ def check_dome(
     membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane
 ) -> float:
     """Visible share of the dome. Raises InputError: it is pressed in, or less than half visible."""
-    visible = _visible_share(cap.fine_mesh, camera, membrane)
+    filled = ndimage.binary_fill_holes(_closed(membrane))
+    visible = _visible_share(cap.fine_mesh, camera, filled)
     if visible < _MIN_VISIBLE_SHARE:
         raise InputError(
             f"{samples.source_name}: only {100 * visible:.0f} % of the dome is visible, too little "
             "to determine its shape, volume and γ0; uncover the camera, or give a sensor file with "
             "this camera's pose"
         )
-    _check_no_dent(samples, cap, camera, membrane)
+    _check_no_dent(samples, cap, camera, membrane, filled)
     return visible
 
 
 def _visible_share(
     mesh: MembraneMesh,  # the fitted dome above the rim plane, in B
     camera: DepthCamera,
-    membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane; holes count as visible
+    filled: np.ndarray,  # (H, W) bool, pixels that see the membrane, and holes between them
 ) -> float:
     """Share of a dome's area that the camera sees."""
     centres = mesh.nodes[mesh.triangles].mean(axis=1)
     T = camera.T_B_C
     uv = np.rint(camera.intrinsics.project((centres - T[:3, 3]) @ T[:3, :3])).astype(int)
-    height, width = membrane.shape
+    height, width = filled.shape
     inside = ((uv >= 0) & (uv < (width, height))).all(axis=1)
-    filled = ndimage.binary_fill_holes(_closed(membrane))
     visible = np.zeros(len(uv), bool)
     visible[inside] = filled[uv[inside, 1], uv[inside, 0]]
     return float(mesh.facet_areas[visible].sum() / mesh.facet_areas.sum())
 
 
 def _check_no_dent(
-    samples: FrameSamples, cap: Ellipsoid, camera: DepthCamera, membrane: np.ndarray
+    samples: FrameSamples,
+    cap: Ellipsoid,
+    camera: DepthCamera,
+    membrane: np.ndarray,
+    filled: np.ndarray,
 ) -> None:
     """Refuse a dome that is pressed in, as by a contact in every frame.
 
@@ -67,7 +71,7 @@ def _check_no_dent(
     points = camera.points_at(ranges, np.arange(ranges.size))
     residual_m = cap.distance(points).reshape(ranges.shape)  # negative inside
     pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)  # side on the membrane
-    inner = away_from_edges(ndimage.binary_fill_holes(_closed(membrane)), edge_px + 1.0)
+    inner = away_from_edges(filled, edge_px + 1.0)
     measured = inner & np.isfinite(residual_m)
     known = measured & membrane
     spread = robust_sigma(residual_m[known])

@@ -42,7 +42,7 @@ class FlatSheet:
         rubber = RubberMembrane(flat, 0.0, _PRESTRETCH**2 * inverse_metric(flat), 1.0)
         inflation = Inflation(rubber, np.zeros_like(flat.nodes))
         height = float(mesh.nodes[:, 2].max())
-        x, solved_pressure = flat.nodes, 0.0
+        x, solved_pressure = mesh.nodes, 0.0
         stretch = _PRESTRETCH * float(np.sqrt(mesh.facet_areas.sum() / flat.facet_areas.sum()))
         pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # of a uniformly stretched sheet
         for _ in range(_MAX_PRESSURES):

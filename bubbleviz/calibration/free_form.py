@@ -76,10 +76,11 @@ def fit_free_form(
     fold = fold_of(pixels, use.shape[1], tile_px)
     correction = np.zeros(len(start.nodes))
     smoothing = left_out_rms = float("nan")
-    left_out_image = np.full(range_m.size, np.nan)
+    left_out_image, triangle = np.full(range_m.size, np.nan), None
     for k in range(_RELINEARISATIONS):
         nodes = start.nodes + correction[:, None] * arms
-        hits = caster.cast(nodes, arms, pixels)
+        triangle = caster.first(nodes, pixels, triangle)
+        hits = caster.met(nodes, arms, triangle, pixels)
         hit = np.searchsorted(pixels, hits.ray)
         D = range_jacobian(hits, start.triangles, len(nodes))
         residual = range_m.ravel()[hits.ray] - hits.range_m

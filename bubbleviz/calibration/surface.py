@@ -192,10 +192,12 @@ def _left_out_squares(
     for name, cap in zip(SURFACE_NAMES, caps, strict=False):
         J, distance = cap.derivatives(points, sphere=name == "sphere"), cap.distance(points)
         errors[name] = distance.copy()
-        for k in range(FOLDS):  # refitted in one step without the fold
-            own, used = fold == k, weights * (fold != k)
-            weighted = J.T * used
-            errors[name][own] -= J[own] @ np.linalg.solve(weighted @ J, weighted @ distance)
+        rows = np.column_stack([J, distance])
+        folds = [np.flatnonzero(fold == k) for k in range(FOLDS)]
+        products = np.stack([(rows[own].T * weights[own]) @ rows[own] for own in folds])
+        for own, product in zip(folds, products, strict=True):  # refitted in one step without it
+            rest = products.sum(axis=0) - product
+            errors[name][own] -= J[own] @ np.linalg.solve(rest[:-1, :-1], rest[:-1, -1])
     total = np.maximum(np.bincount(tile, weights), 1e-9)
     counted = np.bincount(tile, weights > 0.0) > 0
     return {

@@ -110,12 +110,21 @@ class RayCaster:
         # in double precision, on the triangle that single precision found
         return self._hits_on_planes(self._facets(nodes, normals), ray, first[hit])
 
-    def first(self, nodes: np.ndarray, rays: np.ndarray | None = None) -> np.ndarray:
+    def first(
+        self,
+        nodes: np.ndarray,
+        rays: np.ndarray | None = None,
+        near: np.ndarray | None = None,  # (k,) int, as found for nodes close to these
+    ) -> np.ndarray:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
         local = nodes - self.origin
         faces, some = faces_from(local, self.triangles), slice(None) if rays is None else rays
         if self._is_unoccluded(local, faces, some):
-            there, arrived = self._walked_to(faces.astype(np.float32), self._rays[some, 3:])
+            single, ray = faces.astype(np.float32), self._rays[some, 3:]
+            if near is None:
+                there, arrived = self._walked_to(single, ray)
+            else:
+                there, arrived = self._walked(single, ray, np.maximum(near, 0), len(faces))
             return np.where(arrived, there, -1)
         found = TriangleScene(local, self._indices).cast(self._rays[some])
         return np.where(np.isfinite(found.distance), found.triangle, -1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings.depth_statistics import LAG, MIN_FRAMES, robust_sigma
+from bubbleviz.recordings.depth_statistics import LAG, MAD_TO_SIGMA, MIN_FRAMES
 from bubbleviz.recordings.frame import FrameSource
 from bubbleviz.wording import count_of
 
@@ -98,7 +98,7 @@ def _score(values: np.ndarray) -> np.ndarray:
         return np.zeros(len(values))
     lag = min(LAG, len(values) - 1)
     differences = values[lag:] - values[:-lag]
-    sigma = np.array([robust_sigma(column, center=0.0) for column in differences.T]) / np.sqrt(2.0)
+    sigma = MAD_TO_SIGMA * np.median(np.abs(differences), axis=0) / np.sqrt(2.0)
     typical = float(np.median(sigma))
     # Quantised columns may never change at all: their spread is at least the typical one, and
     # never below the numerical resolution.
