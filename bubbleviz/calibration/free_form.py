@@ -51,10 +51,15 @@ class FreeForm:
         self,
         # (n, Q), derivative of each quantity by motion of each node along its line, unit/m
         gradients: np.ndarray,
-    ) -> np.ndarray:
-        """Derivative of quantities by each pixel's range, (P, Q), unit/m."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative of quantities by each pixel's range, (P, Q), unit/m, and their variances (Q,).
+
+        These are by the posterior, per variance of a pixel: Bayesian intervals of a smoothing
+        spline (Wahba 1983) include the rim and hidden parts, which the prior alone determines.
+        """
         adjoint = symmetric_lu(self.matrix).solve(np.ascontiguousarray(gradients))
-        return self.efficiency * self.weights[:, None] * (self.D @ adjoint)
+        by_pixel = self.efficiency * self.weights[:, None] * (self.D @ adjoint)
+        return by_pixel, np.einsum("nq,nq->q", gradients, adjoint)
 
 
 def fit_free_form(

@@ -15,7 +15,6 @@ from bubbleviz.membrane import (
     balance_gradient,
     balance_tension,
     least_squares_tension,
-    symmetric_lu,
 )
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tukey_weights
@@ -127,7 +126,10 @@ def estimate_tension(
 
     Raises InputError: no tension balances the surface.
     """
-    now, tiles, frames = _with_errors(samples, surfaces, gauge_pressure_pa, progress)
+    linear, variance = _linear_free_form(surfaces, gauge_pressure_pa)
+    if surfaces.chosen != "free-form":
+        linear = _linear_cap(samples, surfaces, gauge_pressure_pa)
+    now, (tiles, frames) = linear[0], _errors(samples, linear, progress)
     sphere, cap, gas = surfaces.sphere, surfaces.cap, samples.gas_pressure_pa
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
@@ -136,8 +138,11 @@ def estimate_tension(
     }
     facets = surfaces.facet_error_m / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
-    shape = [_shape_error(samples, surfaces, gauge_pressure_pa), by_surface["free-form"]]
-    shape[1] -= by_surface[other]
+    together = max(1.0, samples.statistics.correlated_pixels)  # they count as one pixel
+    shape = [
+        surfaces.free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together)),
+        by_surface["free-form"] - by_surface[other],
+    ]
     if surfaces.chosen != "free-form":
         shape.append(_upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other])
     value = now["tension_n_per_m"]
@@ -165,11 +170,9 @@ def estimate_tension(
     )
 
 
-def _with_errors(
-    samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float, progress: Progress
-) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
-    """γ0 and dimensions; their standard deviations by the pixels, and by drift of the frames."""
-    now, pixels, influence, residual_m, parameters = _linear(samples, surfaces, gauge_pressure_pa)
+def _errors(samples: FrameSamples, linear: Linear, progress: Progress) -> list[np.ndarray]:
+    """Standard deviations of the quantities by the pixels, and by drift of the frames."""
+    now, pixels, influence, residual_m, parameters = linear
     statistics = samples.statistics
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
@@ -184,17 +187,14 @@ def _with_errors(
         parameters,
         progress,
     )
-    tiles, frames = (np.sqrt(np.diag(each)[: len(now)]) for each in covariances)
-    return now, tiles, frames
+    return [np.sqrt(np.diag(each)[: len(now)]) for each in covariances]
 
 
 Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]
 """Quantities, pixels (P,), influence (P, Q), residual range (P,) and count of fitted parameters."""
 
 
-def _linear(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
-    if surfaces.chosen == "free-form":
-        return _linear_free_form(surfaces, gauge_pressure_pa)
+def _linear_cap(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     numbers = _cap_numbers(own, gauge_pressure_pa, sphere=sphere)
     pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
@@ -208,7 +208,8 @@ def _linear(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float)
     return numbers(own), pixels, influence, distance / facing, rows.shape[1]
 
 
-def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> tuple[Linear, float]:
+    """With the variance of γ0, N²/m², per variance of a pixel."""
     free_form, mesh = surfaces.free_form, surfaces.free_form.mesh
     arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
     apex = int(np.argmax(mesh.nodes[:, 2]))
@@ -216,28 +217,14 @@ def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
     gradients[:, 0] = balance_gradient(mesh, gauge_pressure_pa, arms)
     gradients[apex, 1] = arms[apex, 2]
     pixels = free_form.pixels
-    influence = free_form.influence(gradients)
+    influence, variances = free_form.influence(gradients)
     influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
     now = {
         "tension_n_per_m": balance_tension(mesh, gauge_pressure_pa),
         "height_m": float(mesh.nodes[apex, 2]),
     }
-    return now, pixels, influence, np.nan_to_num(free_form.residual_m.ravel()[pixels]), 2
-
-
-def _shape_error(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
-    """Standard deviation of γ0, N/m, by the posterior of the free form.
-
-    Bayesian interval of a smoothing spline (Wahba 1983), with λ from cross-validation. It includes
-    the rim and hidden parts, which the prior alone determines. Correlated pixels count as fewer.
-    """
-    free_form = surfaces.free_form
-    mesh = free_form.mesh
-    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
-    gradient = balance_gradient(mesh, gauge_pressure_pa, arms)
-    variance = float(gradient @ symmetric_lu(free_form.matrix).solve(gradient))
-    together = max(1.0, samples.statistics.correlated_pixels)
-    return free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together))
+    residual_m = np.nan_to_num(free_form.residual_m.ravel()[pixels])
+    return (now, pixels, influence, residual_m, 2), float(variances[0])
 
 
 def _upper_half(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
