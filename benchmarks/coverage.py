@@ -22,6 +22,7 @@ from bubbleviz.study.harness import (
     Table,
     Target,
     at_least,
+    at_most,
     groups,
 )
 from tests.oracles.round_sheet import round_sheet
@@ -156,6 +157,8 @@ def _recorded(grid: CoverageGrid, rubber: InflatedRubber, seed: int) -> list[Inf
 
 COVERED = 0.93
 """Share of the seeds whose interval should include the true value."""
+WORST_RATIO = 1.5
+"""Of error over half of the interval, in the worst seed."""
 _SYMBOLS = dict(zip(QUANTITIES, ("γ0", "λ", "G"), strict=True))
 
 
@@ -179,6 +182,7 @@ def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
                 "worst_error": float(np.abs(errors).max()),
                 "bias": float(errors.mean()),
                 "half_width": float(np.median(widths or [np.nan])),
+                "worst_ratio": float(np.max(np.abs(errors) / (widths or [np.nan]))),
             }
         )
     return found
@@ -190,6 +194,7 @@ def targets(rows: Sequence[CoverageRow]) -> list[Target]:
     for one in coverages(rows):
         name = f"{one['rubber']}, {one['known']}: {_SYMBOLS[one['quantity']]}"
         found.append(at_least(f"{name}, share covered", one["covered"], COVERED))
+        found.append(at_most(f"{name}, error over half-width", one["worst_ratio"], WORST_RATIO))
     return found
 
 
@@ -199,5 +204,6 @@ def report_of(rows: Sequence[CoverageRow]) -> Report:
     shares = (Column("covered %", "covered", ".0f", 100),)
     names = ("rms_error", "worst_error", "bias", "half_width")
     errors = (Column(f"{n.replace('_', ' ')} %", n, ".2f", 100) for n in names)
-    table = Table("coverage", coverages(rows), (*words, *shares, *errors))
+    ratio = Column("worst error / half width", "worst_ratio", ".2f")
+    table = Table("coverage", coverages(rows), (*words, *shares, *errors, ratio))
     return Report([table], targets(rows))

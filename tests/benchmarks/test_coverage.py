@@ -28,16 +28,17 @@ def rows_of(quantity, truth, values, half_width, known="levels"):
 
 def test_coverage_of_known_rows():
     values = [2500.0] * 18 + [2600.0, 2700.0]
-    rows = rows_of("gauge_pressure_pa", 2500.0, values, 110.0)
+    rows = rows_of("gauge_pressure_pa", 2500.0, values, 140.0)
     rows.append(CoverageRow("sheet", 20, "levels", "gauge_pressure_pa", 2500.0))
     (one,) = coverages(rows)
     assert (one["seeds"], one["determined"]) == (21, 20)
     assert one["covered"] == pytest.approx(0.95)
     assert one["rms_error"] == pytest.approx(np.sqrt((0.04**2 + 0.08**2) / 20))
     assert one["worst_error"] == pytest.approx(0.08)
-    assert one["half_width"] == pytest.approx(0.044)
+    assert one["half_width"] == pytest.approx(0.056)
+    assert one["worst_ratio"] == pytest.approx(200.0 / 140.0)
     assert all(target.met for target in targets(rows))
-    worse = rows + rows_of("gauge_pressure_pa", 2500.0, [2700.0], 110.0)
+    worse = rows + rows_of("gauge_pressure_pa", 2500.0, [2750.0], 140.0)
     assert not any(target.met for target in targets(worse))
 
 
