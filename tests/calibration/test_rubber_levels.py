@@ -95,7 +95,7 @@ def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     assert saved.prestretch_from == "inflation levels: low.mcap, high.mcap"
     assert found["levels"]["unexplained_rms_m"] < 0.1 * found["levels"]["change_rms_m"]
     report = (tmp_path / "report" / "report.html").read_text()
-    assert "inflation levels: low.mcap, high.mcap; the sensor file" in report
+    assert "inflation levels: low.mcap, high.mcap; the recorded gas pressure minus" in report
 
 
 class Chamber:
