@@ -79,7 +79,7 @@ class ImageFit:
     def reset(self) -> None:
         """Drop the linear model of the previous frame."""
         self._predicted: PredictedImage | None = None
-        self._failed: np.ndarray | None = None
+        self._pressed_at: np.ndarray | None = None  # pose of the last press, failed or not
         self.valid_m = self._options.valid_m
         self._pressed.reset()
 
@@ -170,22 +170,21 @@ class ImageFit:
             return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
         self._predicted = None if press is None else self._rendered(press, contact)
-        self._failed = T_B_O if press is None else None
+        self._pressed_at = T_B_O
         return self._predicted
 
     def covers(self, T_B_O: np.ndarray, contact: ContactPoints, valid_m: float) -> bool:
         """Whether the last press was made within a motion of the patch's edge from a pose."""
-        last = self._failed if self._predicted is None else self._predicted.T_B_O
-        if last is None:
+        if self._pressed_at is None:
             return False
-        way = motion_between(last, T_B_O, contact.center)
+        way = motion_between(self._pressed_at, T_B_O, contact.center)
         return way_at(contact.radius_m, way) < valid_m
 
     def _rendered(self, press: Press, contact: ContactPoints) -> PredictedImage:
         """The membrane and its derivatives in the camera image."""
         mesh = press.part.mesh
-        reach = contact.extent_m + self._options.around_m
-        pixel = np.flatnonzero(_near(self._places, contact.rest_center, reach))
+        away = np.linalg.norm(self._places - contact.rest_center, axis=1)
+        pixel = np.flatnonzero(away < contact.extent_m + self._options.around_m)
         every = max(1, -(-len(pixel) // self._options.max_pixels))
         pixel = pixel[::every]
         rays = self._directions[pixel]
@@ -210,7 +209,3 @@ class ImageFit:
             rounding=J[:, 6],
             area_m2=float(np.linalg.norm(vectors[np.unique(hits.triangle)], axis=1).sum()),
         )
-
-
-def _near(points: np.ndarray, center: np.ndarray, reach_m: float) -> np.ndarray:
-    return np.asarray(np.linalg.norm(points - center, axis=1) < reach_m)
