@@ -52,11 +52,11 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.first = tool_button("▮◀◀", "First frame (Home)")
-        self.back = tool_button("◀▮", "Previous frame (←)")
-        self.play = tool_button(PAUSE, "Play or pause (Space)")
-        self.forward = tool_button("▮▶", "Next frame (→)")
-        self.last = tool_button("▶▶▮", "Last frame (End)")
+        self.first = tool_button("▮◀", "First frame (Home)", slim=True)
+        self.back = tool_button("◂", "Previous frame (←)", slim=True)
+        self.play = tool_button(PAUSE, "Play or pause (Space)", slim=True)
+        self.forward = tool_button("▸", "Next frame (→)", slim=True)
+        self.last = tool_button("▶▮", "Last frame (End)", slim=True)
         self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
         self._timeline_timer = QTimer(self, singleShot=True, interval=TIMELINE_EVERY_MS)
