@@ -365,6 +365,7 @@ def test_plots_keep_their_height(drive):
         driver.wait(lambda: height() == opened + 60)
         dock.hide()
         saver.apply_settings(saved)
+        driver.wait_until_shown()
         driver.wait(lambda: height() == opened + 60)
 
 
