@@ -44,12 +44,8 @@ _T = TypeVar("_T")
 _GOLDEN = 0.5 * (3.0 - 5.0**0.5)
 """Shift of a lattice from row to row over its period, from the golden ratio to avoid stripes."""
 
-_NODE_PIXELS = 10_000
-"""Pixels for the residuals of the nodes: some ten for each."""
-
 Product = Literal[
-    "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "node_residual",
-    "pose", "object_patch",
+    "estimate", "fine_contact", "patch", "pixel_mask", "cloud", "residual", "pose", "object_patch",
     "flow", "traction", "slip", "texture",
     "depth_image", "change_image", "residual_image", "noise_image", "used_image", "colour_image",
     "flow_image", "kappa_curve", "components",
@@ -67,11 +63,11 @@ DIAGNOSTICS: dict[Product, tuple[Product, ...]] = {
 
 SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
 """Products of depth and optical flow together."""
+FLOW_PRODUCTS: frozenset[Product] = SHEAR | {"flow"}
+"""Products with which the estimate uses optical flow."""
 OBJECT_PRODUCTS: frozenset[Product] = frozenset({"pose", "object_patch"})
 """Products that require a tracked object."""
-COLOUR_PRODUCTS: frozenset[Product] = frozenset(
-    {"flow", "traction", "slip", "texture", "colour_image"}
-)
+COLOUR_PRODUCTS: frozenset[Product] = frozenset(FLOW_PRODUCTS | {"texture", "colour_image"})
 """Products that require the colour image."""
 
 FlowFunction = Callable[[Frame], "FlowField | None"]
@@ -237,9 +233,9 @@ class Pipeline:
         self, frame: Frame, state: Any, flow: MeasuredFlow | None = None
     ) -> tuple[Estimate, Any]:
         measured = frame.depth_m, frame.gas_pressure_pa, state, frame.gas_sigma_pa
-        if flow is None:  # as for solvers of other packages
+        if flow is None:  # solvers of other packages may not know it
             return self.estimator.estimate(*measured)
-        return self.estimator.estimate(*measured, flow)
+        return self.estimator.estimate(*measured, flow=flow)
 
     def prepare(self, products: frozenset[Product]) -> None:
         """Build the solvers in advance, so that the first frame is not delayed."""
@@ -248,7 +244,7 @@ class Pipeline:
             _ = self.estimator
         if "patch" in needed:
             _ = self._finder, self.model.view
-        if needed & {"residual", "node_residual"}:
+        if "residual" in needed:
             _ = self.model.view.at_rest
         if "traction" in needed:
             _ = self.flow_observer
@@ -360,7 +356,8 @@ class Pipeline:
     def _measured_flow(self, result: Result) -> MeasuredFlow | None:
         """The frame's optical flow for the estimator; None where there is none, or no friction."""
         flow = result.flow
-        if flow is None or not len(flow.pixel) or self.estimator.solver_name != RUBBER:
+        frictionless = self.estimator.solver_name != RUBBER or not self.options.friction
+        if flow is None or not len(flow.pixel) or frictionless:
             return None
         return self.flow_observer.measure(flow)
 
@@ -400,7 +397,8 @@ class Pipeline:
     def _traction_stage(self, result: Result, options: FrameOptions) -> Result:
         from bubbleviz.shear import traction_of  # only needed here
 
-        found = traction_of(self._exact_bubble, _required(result.estimate), result.flow)
+        bubble, friction = self._exact_bubble, self.options.friction
+        found = traction_of(bubble, _required(result.estimate), result.flow, friction)
         return replace(result, traction=found)
 
     def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
@@ -421,27 +419,10 @@ class Pipeline:
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
         """Measured minus modelled range of the cloud's pixels, m."""
-        return replace(result, cloud_residual_m=self._residual(result, result.cloud_pixels))
-
-    def _node_residual_stage(self, result: Result, options: FrameOptions) -> Result:
-        """Mean residual of the pixels that see the triangles of a node at rest, m."""
-        seen_at_rest = self.model.view.at_rest
-        pixels = _evenly(seen_at_rest.reshape(result.frame.depth_m.shape) >= 0, _NODE_PIXELS)
-        residual = self._residual(result, pixels)
-        corners = self.mesh.triangles[seen_at_rest[pixels]]
-        seen = np.isfinite(residual)
-        nodes, values = corners[seen].ravel(), np.repeat(residual[seen], 3)
-        count = np.bincount(nodes, minlength=len(self.mesh.nodes))
-        total = np.bincount(nodes, values, minlength=len(count))
-        mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-        return replace(result, node_residual_m=mean)
-
-    def _residual(self, result: Result, pixels: np.ndarray | None) -> np.ndarray:
-        """Measured minus modelled range of pixels (k,), m; NaN where either is missing."""
-        chosen = _required(pixels)
-        modelled = self.model.view.ranges(_required(result.estimate).motion_m, chosen)
-        residual: np.ndarray = self.model.ranges(result.frame.depth_m, chosen) - modelled
-        return residual
+        pixels = _required(result.cloud_pixels)
+        modelled = self.model.view.ranges(_required(result.estimate).motion_m, pixels)
+        measured = self.model.ranges(result.frame.depth_m, pixels)
+        return replace(result, cloud_residual_m=measured - modelled)
 
     def _texture_stage(self, result: Result, options: FrameOptions) -> Result:
         estimate = _required(result.estimate)
@@ -491,7 +472,6 @@ _STAGES: dict[Product, _Stage] = {
     "slip": _Stage(("traction", "flow"), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),
     "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
-    "node_residual": _Stage(("estimate",), Pipeline._node_residual_stage),
     "texture": _Stage(("estimate",), Pipeline._texture_stage),
 }
 """The stage of each product, in the order in which they run."""

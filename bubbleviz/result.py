@@ -267,8 +267,8 @@ class Patch:
 
 
 TractionStatus = Literal["ok", "no_contact", "depth_alone", "no_data", "not_converged"]
-"""`depth_alone`: no visible texture in the contact, so friction is unknown, and the traction is the
-contact pressure of the estimate."""
+"""`depth_alone`: no visible texture in the contact, so friction is known by depth alone: two slides
+and a spin of each contact."""
 
 
 @dataclass(frozen=True)
@@ -286,7 +286,7 @@ class Traction:
     tangential_displacement_m: np.ndarray
     center_m: np.ndarray  # (3,), centre of the contact's normal force, m; NaN without contact
     # (6, 6), of the force, N, and the torque about `center_m`, N·m, by noise, material and mesh;
-    # NaN if friction is unknown
+    # NaN by depth alone
     wrench_covariance: np.ndarray
     # rms over the contact of the standard deviation of a node's displacement by noise, per axis, m
     displacement_sigma_m: float = np.nan
@@ -463,7 +463,6 @@ class Result:
     cloud_pixels: np.ndarray | None = None  # (k,) int, flat pixel index of each point of the cloud
     # (k,), measured minus modelled range of each point, m (NaN where the model has no surface)
     cloud_residual_m: np.ndarray | None = None
-    node_residual_m: np.ndarray | None = None  # (n,), its mean around each node; NaN if not seen
     pose: Pose | None = None  # None also without object
     object_patch: ObjectPatch | None = None  # None also if the pose is lost
     flow: FlowField | None = None  # None also without colour image or contact-free reference
@@ -471,8 +470,7 @@ class Result:
     slip: Slip | None = None  # None also if too little of the patch sticks
     texture: Texture | None = None  # None also without trusted estimate
     inspection: Inspection | None = None  # diagnostics for panels
-    # wall time by stage, ms; `total` is depth in → products out. `flow` runs in parallel to the
-    # other stages.
+    # wall time by stage, ms; `total` is depth in → products out
     times_ms: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:

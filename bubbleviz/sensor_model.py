@@ -20,6 +20,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.sensor import Sensor
 
+_NODE_PIXELS = 10_000  # for the residuals of the nodes: some ten for each
 _MAX_BLOCK = 32  # largest side of a block in pixels: larger blocks save no more time
 
 
@@ -115,7 +116,27 @@ class SensorModel:
         ranges = self.camera.range_image(depth_m)
         return ranges if self.pixels is None else self.pixels.corrected(ranges)
 
+    def node_residuals(self, depth_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
+        """Mean of measured minus modelled range around each node, (n,), m; NaN where not seen.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+            z-depth image.
+        motion_m : (n,) or (n, 3) array
+            Of the nodes, as of an estimate.
+        """
+        step = max(1, round((depth_m.size / _NODE_PIXELS) ** 0.5))
+        pixels = np.arange(depth_m.size).reshape(depth_m.shape)[::step, ::step].ravel()
+        hits = self.view.hits(motion_m, pixels)
+        residual = self.ranges(depth_m, hits.ray) - hits.range_m
+        seen = np.isfinite(residual)
+        nodes = self.mesh.triangles[hits.triangle[seen]].ravel()
+        count = np.bincount(nodes, minlength=len(self.mesh.nodes))
+        total = np.bincount(nodes, np.repeat(residual[seen], 3), len(count))
+        return np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+
     def ranges(self, depth_m: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-        """The same for pixels given by flat indices (k,)."""
+        """Calibrated ranges of pixels given by flat indices (k,), m; NaN in unused ones."""
         ranges = depth_m.ravel()[pixels] * self.camera.range_per_depth.ravel()[pixels]
         return ranges if self.pixels is None else self.pixels.at(pixels).corrected(ranges)

@@ -125,7 +125,7 @@ def estimate(
         Without such frames the interval of the force includes the ±2 kPa of the weather. False: no
         shift.
     shear : bool
-        Also estimate friction at every node, and slip, from colour images.
+        Force by depth and colour images together, with friction at every node, and slip.
     colour_delay_s : float, optional
         Stamp of a colour image minus that of the depth image of the same scene, s; negative if
         colour leads depth. By default the sensor file's.

@@ -65,7 +65,8 @@ class Estimator:
         the first 15 consecutive contact-free images; until then assume an error of ±2 kPa, by the
         weather. False: no shift.
     shear : bool
-        Also estimate traction with friction and slip, after 20 colour images without contact.
+        Force by depth and colour together, with friction at every node, and slip; after 20 colour
+        images without contact.
 
     Raises
     ------
@@ -246,7 +247,7 @@ class Estimator:
 class FrameSolver:
     """Solves frames one after the other, for `Estimator`, recordings and streams.
 
-    `zero` corrects the gas pressure; `texture` adds traction with friction and slip.
+    `zero` corrects the gas pressure; `texture` adds optical flow.
     """
 
     def __init__(
@@ -263,11 +264,6 @@ class FrameSolver:
         self._measured_pa: float | None = None
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
-
-    def also_compute(self, products: frozenset[Product]) -> None:
-        """Compute these products of every frame, too."""
-        self.pipeline.prepare(products)
-        self._products |= products
 
     def solve(self, frame: Frame) -> Result:
         """The products of the next frame."""

@@ -189,8 +189,6 @@ def watch(
         publisher = None if place is None else stack.enter_context(ZenohPublisher(place))
         stack.enter_context(stream)
         watcher = Watcher.on(stream, own, stop=stop, **options)
-        if publisher is not None or recorder is not None:
-            watcher.solver.also_compute(frozenset({"node_residual"}))
 
         def send(message: Message) -> None:
             if publisher is not None:

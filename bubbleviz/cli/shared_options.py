@@ -55,7 +55,7 @@ zero_gas_option = click.option(
 shear_option = click.option(
     "--shear",
     is_flag=True,
-    help="Also estimate friction at every node, and slip, from colour images.",
+    help="Force by depth and colour images together, with friction at every node, and slip.",
 )
 colour_delay_option = click.option(
     "--colour-delay",

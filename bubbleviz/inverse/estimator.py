@@ -1,4 +1,4 @@
-"""From a depth image to shape, contact pressure, friction and gas pressure of the membrane."""
+"""From depth, and optical flow, to shape, contact pressure, friction and gas pressure."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class EstimatorOptions:
         `contact_refiner`; never with the paper's QP.
     friction : float
         Standard deviation of the coefficients of friction of contacts with the exact membrane, see
-        `friction_loads`; 0 for contacts without friction.
+        `friction_nuisances`; 0 for contacts without friction.
     image_error : float
         Standard deviation, over the depth, of errors common to a whole depth image since
         calibration: an offset, a scale and tilts. 0 for none.
@@ -120,7 +120,7 @@ class Estimator:
     """Solves the inverse problem frame by frame, with warm starts.
 
     Contact acts along the current normals on the support of maximal evidence, and friction along
-    the membrane, see `friction_loads`; everywhere else the membrane is in equilibrium by
+    the membrane, see `friction_nuisances`; everywhere else the membrane is in equilibrium by
     construction. A connected part of the support whose pressure is below the gas pressure
     everywhere is not contact, as any part that lies on a flat or convex object carries that
     pressure. Nor is one that is not significant, see `significant_contact`.

@@ -32,6 +32,10 @@ _MIN_FLOW_SHARE = 0.5
 """Least share of a contact's nodes next to which flow was measured, for tractions of its nodes:
 where the texture of a contact is mostly hidden, depth decides. Chosen."""
 
+_MOST_NODES = 300
+"""Most nodes of a contact for tractions of its nodes: as many as its support is optimised for, and
+two unknowns each take the cube of their number in time. Chosen."""
+
 
 def friction_nuisances(
     tangent: Tangent,
@@ -57,23 +61,26 @@ def friction_nuisances(
     seen : (n,) bool array
         Nodes next to which flow was measured.
     """
-    traced, found = traced_by_flow(pressure, rings, seen), []
-    if (traced != (pressure > 0.0)).any():
-        loads = friction_loads(tangent.x, tangent.area_vectors, pressure, rings, ~traced)
+    by_flow, found = contacts_seen_by_flow(pressure, rings, seen), []
+    if (by_flow != (pressure > 0.0)).any():
+        loads = friction_loads(tangent.x, tangent.area_vectors, pressure, rings, ~by_flow)
         spread = np.full(loads.shape[2], sigma)
         found.append(Nuisances.of_motions(tangent.motion(loads), loads, spread))
-    if traced.any():
-        found.append(_tractions(tangent, np.flatnonzero(traced), smoothness, sigma))
+    if by_flow.any():
+        found.append(_tractions(tangent, np.flatnonzero(by_flow), smoothness, sigma))
     return found
 
 
-def traced_by_flow(pressure: np.ndarray, rings: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Nodes (n,) bool of the contacts, under a pressure (n,), that flow sees at nodes `seen`."""
+def contacts_seen_by_flow(pressure: np.ndarray, rings: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """Nodes (n,) bool of the contacts, under a pressure (n,), that flow sees at nodes `seen`.
+
+    Not of contacts with too many nodes for tractions of each.
+    """
     touching = pressure > 0.0
     count, contact = connected_parts(rings, touching)
-    nodes = np.flatnonzero(touching)
-    share = np.bincount(contact, seen[nodes], count) / np.bincount(contact, minlength=count)
-    touching[nodes] = (share >= _MIN_FLOW_SHARE)[contact]
+    nodes, size = np.flatnonzero(touching), np.bincount(contact, minlength=count)
+    enough = np.bincount(contact, seen[nodes], count) >= _MIN_FLOW_SHARE * size
+    touching[nodes] = (enough & (size <= _MOST_NODES))[contact]
     return touching
 
 

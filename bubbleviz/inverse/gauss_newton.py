@@ -18,7 +18,7 @@ from bubbleviz.inverse.contact_problem import (
     Selection,
     significant_contact,
 )
-from bubbleviz.inverse.friction import friction_nuisances, traced_by_flow
+from bubbleviz.inverse.friction import contacts_seen_by_flow, friction_nuisances
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -44,10 +44,9 @@ CONVERGED_MOTION, TANGENT_REUSE, LARGE_MOTION = 0.05, 0.2, 0.5
 large beyond `LARGE_MOTION`. A tangent is used again within `TANGENT_REUSE` of the shape that it was
 computed at: the residual is always exact."""
 _SETTLED_MOTION, _MAX_SETTLING = 0.02, 2
-"""Motion below which no further step is taken, and how many steps that move the nodes by more, but
-by less than `CONVERGED_MOTION`, are. They do not always get smaller. Chosen on the real press: the
-area of a frame that is reached on other ways differs by up to 3 instead of 7 % in nine of ten
-cases."""
+"""Steps are repeated until one moves the nodes by less than this, at most `_MAX_SETTLING` more once
+below `CONVERGED_MOTION`, as they do not always shrink. On the real press the area of a frame then
+differs by 3 instead of 7 % between ways of reaching it (nine of ten cases)."""
 _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
 `_MAX_STEP`: a frame that has not converged by then contradicts the model."""
@@ -245,7 +244,7 @@ class GaussNewton:
     length_m : float
         Size of the membrane, m: ranges with larger errors are not of it.
     friction : float
-        Standard deviation of the amplitudes of `friction_loads`; 0 for none.
+        Standard deviation of the amplitudes of `friction_nuisances`; 0 for none.
     image_error : float
         Standard deviation of the errors of a whole image, see `IMAGE_ERROR`; 0 for none.
 
@@ -334,7 +333,8 @@ class GaussNewton:
             A singular tangent, or Hessian.
         """
         state, warm = start.state or self._rest, start.state is not None
-        view, tangent, noise = start.view, start.tangent, start.noise
+        view, tangent = start.view, start.tangent
+        noise = start.noise if data.flow is not None else start.noise._replace(flow=1.0)
         noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         selecting, selections, large_steps, steps, solve_ms = True, 0, 0, 0, 0.0
         following = self._observe(data, state, view, by_flow=True) if warm else None
@@ -401,10 +401,10 @@ class GaussNewton:
                     return self._result(step, observed, last, data.gas_pa, noise, solve_ms)
                 if done or first_guess:
                     noises.append(noise if done else Noise(np.inf, np.inf))
-                    selections, steps, stalled = 0, 0, 0
+                    selections, steps, stalled, settling = 0, 0, 0, 0
                 noise = updated
             if converged:
-                selecting, selections = True, selections + 1
+                selecting, selections, settling = True, selections + 1, 0
             elif large_steps == _MAX_LARGE_STEPS:
                 break
             else:
@@ -524,7 +524,7 @@ class GaussNewton:
     def _flow_fit(self, step: Step, observed: LinearisedFrame, noise: Noise) -> FlowFit | None:
         """How well the optical flow is fitted; None where it saw no contact."""
         contact, flow = step.contact, observed.flow
-        seen = traced_by_flow(contact.pressure, self.mesh.rings, observed.seen_by_flow)
+        seen = contacts_seen_by_flow(contact.pressure, self.mesh.rings, observed.seen_by_flow)
         if flow is None or not seen.any():
             return None
         rms_px = float(np.sqrt(np.mean(flow.after(step.motion) ** 2)))
@@ -747,8 +747,10 @@ class GaussNewton:
         unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
         push = np.where(contact, step.contact.pressure, 0.0)[:, None]
         push = push * self.bubble.area_vectors(step.state.x)
-        blind = ~traced_by_flow(step.contact.pressure, self.mesh.rings, observed.seen_by_flow)
-        model = _model_covariance(step.state.x, push, unknowns @ unit, self._friction * blind)
+        unseen = ~contacts_seen_by_flow(
+            step.contact.pressure, self.mesh.rings, observed.seen_by_flow
+        )
+        model = _model_covariance(step.state.x, push, unknowns @ unit, self._friction * unseen)
         around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
         unit = self._unit_wrenches(step, problem.with_neighbours(contact), around)
         covariance = model + problem.covariance_of(around, unit)

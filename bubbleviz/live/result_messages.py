@@ -26,6 +26,7 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.result import Estimate, Result, Traction
 from bubbleviz.rigid_object import RigidObject
+from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
     from bubbleviz.pipeline import Pipeline
@@ -55,8 +56,9 @@ class ResultMessages:
         prefix: str = "/bubble",  # what the topic names begin with
         frame_id: str = "bubble",  # name of B in the headers
         obj: RigidObject | None = None,  # that is tracked
+        model: SensorModel | None = None,  # for the residuals of the nodes; None: unknown
     ) -> None:
-        self.mesh, self.markers = mesh, ContactMarkers(mesh, obj)
+        self.mesh, self.model, self.markers = mesh, model, ContactMarkers(mesh, obj)
         self._prefix, self._frame_id = prefix.rstrip("/"), frame_id
 
     def placed(self, stream: LiveStream) -> Iterator[Message]:
@@ -131,12 +133,13 @@ class ResultSender:
         self._last_s = 0.0
 
     def __call__(self, result: Result, pipeline: Pipeline) -> None:
-        """Send a result of a pipeline; first its pose, if pipeline or object are others."""
+        """Send a result; after a change of pipeline or object first the pose of the sensor."""
         mesh, obj = pipeline.mesh, pipeline.object
         if self._messages is None or self._messages.mesh is not mesh or self._object is not obj:
             self._object = obj
             frame_id = self._name or "bubble"
-            self._messages = ResultMessages(mesh, f"{RESULTS}{self._name}", frame_id, obj)
+            prefix, model = f"{RESULTS}{self._name}", pipeline.model
+            self._messages = ResultMessages(mesh, prefix, frame_id, obj, model)
             for message in self._messages.placed(self._stream):
                 self._send(message)
         self._last = result
@@ -144,7 +147,7 @@ class ResultSender:
             self._send(message)
 
     def diagnose(self) -> bool:
-        """Send the diagnostics if they are due, and whether they were."""
+        """Send the diagnostics if they are due; returns whether they were."""
         now = time.monotonic()
         due = self._messages is not None and now - self._last_s >= _DIAGNOSTICS_S
         if self._messages is not None and due:
@@ -170,8 +173,9 @@ def _membrane(messages: ResultMessages, header: Any, result: Result) -> Any:
     unknown = np.full(len(mesh.nodes), np.nan)
     if (trusted := result.trusted_estimate) is None:
         return _cloud(header, mesh.nodes, unknown, unknown, np.zeros(len(unknown), bool))
-    residual = unknown if result.node_residual_m is None else result.node_residual_m
-    x, inside = mesh.deformed(trusted.motion_m), result.solution[1].node_mask
+    model, motion, depth = messages.model, trusted.motion_m, result.frame.depth_m
+    residual = unknown if model is None else model.node_residuals(depth, motion)
+    x, inside = mesh.deformed(motion), result.solution[1].node_mask
     return _cloud(header, x, trusted.contact_pressure_pa, residual, inside)
 
 

@@ -27,8 +27,8 @@ from bubbleviz.pose.registration import ContactPoints, Fit, Prior, Registration,
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Stage
 
-_CLOSE_M, _FAR_M = 2e-3, 5e-3  # possible error of a prediction, and of an initial pose
-_TRACKING, _CONVERGING, _COMPARING = 1, 12, 6
+_PREDICTION_ERROR_M, _START_ERROR_M = 2e-3, 5e-3  # possible error of a prediction; of a first pose
+_TRACKING_ITERATIONS, _FIRST_ITERATIONS, _SEARCH_ITERATIONS = 1, 12, 6
 """Iterations of each stage while tracking, where the fit to the depth image follows; from an
 initial pose; and to compare initial poses."""
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
@@ -108,14 +108,14 @@ class Solver:
         self, frame: Frame, contact: ContactPoints, predicted: Motion, *, tracking: bool
     ) -> Solution:
         """Both stages from a prediction; while `tracking` it is close."""
-        iterations = _TRACKING if tracking else _CONVERGING
+        iterations = _TRACKING_ITERATIONS if tracking else _FIRST_ITERATIONS
         prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
         first = self._registration.stage_one(
             contact,
             predicted.T_B_O,
             prior,
-            widest_m=_CLOSE_M if tracking else _FAR_M,
+            widest_m=_PREDICTION_ERROR_M if tracking else _START_ERROR_M,
             iterations=iterations,
         )
         between = time.perf_counter()
@@ -137,7 +137,7 @@ class Solver:
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
         coarse = [
             self._registration.stage_one(
-                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=_COMPARING
+                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=_SEARCH_ITERATIONS
             ).T_B_O
             for m in motions
         ]
@@ -201,7 +201,7 @@ TURNS = (
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
-_FARTHEST_M = 5e-3  # larger distances are clipped
+_CLIPPED_M = 5e-3  # larger distances are clipped
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:
@@ -270,7 +270,7 @@ class InitialPoseFinder:
         local = np.einsum("spj,sjk->spk", points - poses[:, None, :3, 3], poses[:, :3, :3])
         found = self._model.closest(local.reshape(-1, 3))
         way = local.reshape(-1, 3) - found.place
-        length = np.minimum(np.linalg.norm(way, axis=1), _FARTHEST_M)
+        length = np.minimum(np.linalg.norm(way, axis=1), _CLIPPED_M)
         inside = np.einsum("ij,ij->i", way, found.normal) < -0.5 * np.linalg.norm(way, axis=1)
         squares = (length**2).reshape(len(poses), -1)
         penetrating = squares[:, len(on) :] * inside.reshape(len(poses), -1)[:, len(on) :]

@@ -166,6 +166,8 @@ class ImageFit:
 
         None if the press fails, or has just failed nearby.
         """
+        if self._predicted is None:  # after a failed press
+            valid_m = min(valid_m, self.valid_m)
         if self.covers(T_B_O, contact, valid_m):
             return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)

@@ -199,7 +199,7 @@ class OpticalFlow:
         if self.problem:
             return self.nothing(self.problem)
         frame = normalised(grey)
-        with one_thread():  # the other cores are for the depth estimate
+        with one_thread():
             forward = _averaged(self._search.calc(self._reference, frame, None))
             backward = _averaged(self._search.calc(frame, self._reference, None))
         moved = forward.reshape(-1, 2)[self.pixel]

@@ -10,14 +10,17 @@ from bubbleviz.result import Estimate, Traction, TractionStatus, wrench_about
 
 NO_FLOW = "no optical flow: the frame has no colour image, or there are no contact-free ones yet"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
+NO_FRICTION = "the expected coefficient of friction is 0"
 
 _ALL_UNKNOWN = np.full((6, 6), np.nan)
 
 
-def traction_of(bubble: RubberBubble, estimate: Estimate, flow: FlowField | None) -> Traction:
-    """Traction of an estimate that used this optical flow, if any.
+def traction_of(
+    bubble: RubberBubble, estimate: Estimate, flow: FlowField | None, friction: float
+) -> Traction:
+    """Traction of an estimate that used this optical flow, if any, with this expected friction.
 
-    Without flow of the contact, friction is only known as a whole, by depth.
+    Without flow of the contact, friction is known by depth alone: two slides and a spin.
     """
     if estimate.status == "no_contact":
         return _of(bubble, "no_contact", estimate)
@@ -26,6 +29,7 @@ def traction_of(bubble: RubberBubble, estimate: Estimate, flow: FlowField | None
         return _unknown(len(bubble.mesh.nodes), status, estimate.reason)
     if estimate.flow is None:
         reason = NO_FLOW if flow is None else flow.problem or NO_TEXTURE
+        reason = reason if friction else NO_FRICTION
         return _of(bubble, "depth_alone", estimate, reason)
     return _of(bubble, "ok", estimate)
 

@@ -67,9 +67,12 @@ def test_robot_stops_at_an_untrusted_result(sensor, tmp_path):
 def test_the_robot_is_stopped_when_the_camera_dies(sensor, tmp_path, capsys):
     """It would else press on for as long as nobody looks."""
     press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
+    noise = np.random.default_rng(0)
     with RecordingWriter(tmp_path / "dies.mcap") as writer:
         for k, time_s in enumerate((*np.arange(0.0, 2.0, 0.05), 30.0)):
-            writer.write(replace(press[0], index=k, time_s=time_s, stamp_ns=0))
+            seen = press[0].depth_m + noise.normal(0.0, 1e-5, press[0].depth_m.shape)
+            frame = replace(press[0], index=k, time_s=time_s, stamp_ns=0)
+            writer.write(replace(frame, depth_m=seen.astype(np.float32)))
     robot = Recorded()
     with (
         bv.connect(f"replay:{tmp_path / 'dies.mcap'}", sensor) as stream,
@@ -82,6 +85,19 @@ def test_the_robot_is_stopped_when_the_camera_dies(sensor, tmp_path, capsys):
         r"told to stop (\d+) ms after this image was taken", capsys.readouterr().out
     )
     assert late_ms and int(late_ms[1]) >= 1000  # the time that is waited
+
+
+def test_the_robot_is_stopped_when_the_camera_repeats_its_image(sensor, tmp_path):
+    press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
+    with RecordingWriter(tmp_path / "hung.mcap") as writer:
+        for k in range(80):
+            writer.write(replace(press[0], index=k, time_s=0.05 * k, stamp_ns=0))
+    robot = Recorded()
+    with bv.connect(f"replay:{tmp_path / 'hung.mcap'}", sensor) as stream:
+        last = press_until.press_until(stream, robot, 3.0)
+        assert not stream.ended
+    assert last is not None and last.status == "no_contact"
+    assert robot.told[0] == "move" and robot.told[-1] == "stop"
 
 
 @pytest.mark.long

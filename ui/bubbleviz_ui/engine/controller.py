@@ -11,7 +11,7 @@ import numpy as np
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.diagnostics import Inspection, Numbers
-from bubbleviz.pipeline import FrameOptions, Product
+from bubbleviz.pipeline import FLOW_PRODUCTS, FrameOptions, Product
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
@@ -19,7 +19,7 @@ from bubbleviz_ui.engine.opening import Opening
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.demand import Demand, plot_products, pose_products
+from bubbleviz_ui.model.demand import Demand, needed_products, plot_products, pose_products
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, solver_title
@@ -51,8 +51,13 @@ class Analysis(QObject):
         return bool(self._frames)
 
     def start(self) -> None:
-        """Compute what the chosen plots need and is missing, for all frames."""
+        """Compute what the chosen plots need and is missing, for all frames.
+
+        With colour where it is in use: all numbers are then by depth and colour.
+        """
         products = plot_products(self._state.settings)
+        if needed_products(self._state.settings) & FLOW_PRODUCTS:
+            products |= {"traction"}
         self._begin(products, self._state.history.missing(products), cached_only=False)
 
     def _recompute_patches(self) -> None:

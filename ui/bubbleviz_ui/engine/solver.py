@@ -18,7 +18,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult, SettingsComparison
-from bubbleviz.pipeline import DIAGNOSTICS, FrameOptions, Pipeline, Product
+from bubbleviz.pipeline import DIAGNOSTICS, FLOW_PRODUCTS, FrameOptions, Pipeline, Product
 from bubbleviz.pressure_zero import PressureZero, wrench_bias, zero_of, zeroed
 from bubbleviz.processes import PipelineProcess
 from bubbleviz.progress import Cancelled
@@ -39,7 +39,7 @@ from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.shear.shear_reference import SHEAR, ShearReference
+from bubbleviz_ui.shear.shear_reference import ShearReference
 
 N = TypeVar("N")
 ComparedOptions = tuple[EstimatorOptions, FrameOptions]
@@ -183,7 +183,7 @@ class OpenSource:
         if cold:
             pipeline.converge(frame)
         result = (solver_process or pipeline).process(frame, products, demand.options)
-        if products & SHEAR:
+        if products & FLOW_PRODUCTS:
             self.shear.add_frame(result)
         return result
 

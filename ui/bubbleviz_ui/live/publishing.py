@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from bubbleviz.live import ZenohPublisher
 
 
-PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose", "node_residual"})
+PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """Products that are published; the pose only while an object is tracked."""
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from bubbleviz.pipeline import (
     COLOUR_PRODUCTS,
     DIAGNOSTICS,
+    FLOW_PRODUCTS,
     OBJECT_PRODUCTS,
     FrameOptions,
     Product,
@@ -85,11 +86,7 @@ class Demand:
 
     def covers(self, other: Demand) -> bool:
         """Whether this demand includes everything in another one."""
-        same = other.flow_preset == self.flow_preset or not other.products & {
-            "flow",
-            "traction",
-            "slip",
-        }
+        same = other.flow_preset == self.flow_preset or not other.products & FLOW_PRODUCTS
         return same and other.products <= self.products
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import RUBBER
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import FLOW_PRODUCTS, Pipeline, Product
 from bubbleviz.recordings import FrameSource, Recording
 from bubbleviz.result import Result
 from bubbleviz_ui.model.demand import Demand
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 MAX_SEARCHED = 3000
 """Longer recordings are not searched, as that would take minutes."""
-SHEAR: frozenset[Product] = frozenset({"flow", "traction", "slip"})
 NEEDS_RUBBER = "Shear needs the exact membrane; choose the solver rubber in the Contact patch panel"
 
 
@@ -43,7 +42,7 @@ class ShearReference:
         self, source: FrameSource, pipeline: Pipeline, index: int, demand: Demand
     ) -> frozenset[Product]:
         """Products of a demand that are possible for a frame; provides the reference if needed."""
-        if not demand.products & SHEAR:
+        if not demand.products & FLOW_PRODUCTS:
             return demand.products
         if demand.flow_preset != self._preset:
             self._preset, self._passing = demand.flow_preset, None
@@ -51,7 +50,7 @@ class ShearReference:
         elif index < self._frame:
             pipeline.restart()  # slip needs frames in order
         self._frame = index
-        return demand.products if self._possible else demand.products - SHEAR
+        return demand.products if self._possible else demand.products - FLOW_PRODUCTS
 
     def add_frame(self, result: Result) -> None:
         """Use the colour image of a contact-free frame, until there are enough."""
