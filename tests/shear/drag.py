@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.simulation import DepthNoise
@@ -12,6 +13,7 @@ from tests.oracles.stuck_press import Motion, ShearTruth, pressed, shear_sensor
 
 NOISE = DepthNoise(absolute_m=5e-5)
 FLOW_PX = 0.03
+FRICTION = EstimatorOptions().friction
 
 
 def sensor(nodes=600):
@@ -40,8 +42,8 @@ def stuck(name, depth_m, drag_m, twist_deg):
 class Eyes:
     """A pipeline of the sensor and rendered images of simulated frames, in order."""
 
-    def __init__(self, nodes=600):
-        self.pipeline = Pipeline.of(sensor(nodes))
+    def __init__(self, nodes=600, friction=FRICTION):
+        self.pipeline = Pipeline.of(sensor(nodes), options=EstimatorOptions(friction=friction))
         self.flows: list[FlowSighting] = []
         self.pipeline.use_optical_flow(lambda frame: self.flows[frame.index].flow)
 

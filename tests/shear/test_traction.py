@@ -110,6 +110,16 @@ def test_a_contact_without_texture_is_solved_by_depth_only():
         assert result.slip is None
 
 
+def test_without_friction_colour_is_not_used():
+    """Only friction could explain motion along the membrane."""
+    truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes(friction=0.0)
+    result = eyes.pipeline.process(eyes.see(truth), frozenset({"traction"}))
+    assert result.traction.status == "depth_alone"
+    assert result.traction.reason == "the expected coefficient of friction is 0"
+    np.testing.assert_allclose(result.traction.tangential_force_n, 0.0, atol=1e-12)
+    np.testing.assert_allclose(result.estimate.force_n, truth.force_n, atol=0.05)
+
+
 def test_no_contact():
     eyes = Eyes()
     traction = eyes.traction(eyes.rest())
