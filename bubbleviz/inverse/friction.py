@@ -77,6 +77,8 @@ def contacts_seen_by_flow(pressure: np.ndarray, rings: np.ndarray, seen: np.ndar
     Not of contacts with too many nodes for tractions of each.
     """
     touching = pressure > 0.0
+    if not seen.any():  # as in every frame without colour
+        return seen
     count, contact = connected_parts(rings, touching)
     nodes, size = np.flatnonzero(touching), np.bincount(contact, minlength=count)
     enough = np.bincount(contact, seen[nodes], count) >= _MIN_FLOW_SHARE * size

@@ -334,7 +334,7 @@ class GaussNewton:
         """
         state, warm = start.state or self._rest, start.state is not None
         view, tangent = start.view, start.tangent
-        noise = start.noise if data.flow is not None else start.noise._replace(flow=1.0)
+        noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
         noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         selecting, selections, large_steps, steps, solve_ms = True, 0, 0, 0, 0.0
         following = self._observe(data, state, view, by_flow=True) if warm else None
@@ -346,6 +346,10 @@ class GaussNewton:
             by_flow = near and bool(state.pressure.any())
             observed = following or self._observe(data, state, view, by_flow=by_flow)
             following = None
+            if observed.flow is not None and not noise.flow:
+                # Friction has not explained any of it yet: steps with too small a factor diverge.
+                factor = observed.flow.noise_factor(np.zeros_like(state.x))
+                noise = noise._replace(flow=_on_noise_grid(factor, _FLOW_RATIO))
             misfit = observed.misfit(observed.error_m)
             poor = large and misfit >= _STALLED_SHARE * best_misfit
             stalled = stalled + 1 if poor else 0
@@ -489,7 +493,7 @@ class GaussNewton:
         left = observed.without_image_errors(step.residual_m) if fit_image else step.residual_m
         factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
         by_ranges = _on_noise_grid(factor) if touching else max(_on_noise_grid(factor), 1.0)
-        by_flow = 1.0
+        by_flow = noise.flow
         if observed.flow is not None:
             by_flow = _on_noise_grid(observed.flow.noise_factor(step.motion), _FLOW_RATIO)
         return Noise(by_ranges, by_flow)

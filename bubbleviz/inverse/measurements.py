@@ -14,10 +14,10 @@ from bubbleviz.camera import Measured, MeasuredFlow, Observation, ShapeRanges
 
 
 class Noise(NamedTuple):
-    """Noise factors: σ of the residual over that of the noise."""
+    """Noise factors: σ of the residual over that of the noise; `flow` is 0 until it is known."""
 
     ranges: float
-    flow: float = 1.0
+    flow: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,9 @@ from benchmarks.shear import along_error_m
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Recording
+from bubbleviz.sensor import load_sensor
+from bubbleviz.shear import watch_recorded_texture
 from tests.oracles.stuck_press import Motion
 from tests.shear.drag import Eyes, press, sensor, stuck
 
@@ -118,6 +121,38 @@ def test_without_friction_colour_is_not_used():
     assert result.traction.reason == "the expected coefficient of friction is 0"
     np.testing.assert_allclose(result.traction.tangential_force_n, 0.0, atol=1e-12)
     np.testing.assert_allclose(result.estimate.force_n, truth.force_n, atol=0.05)
+
+
+def test_flow_that_is_less_precise_than_it_says_loses_no_frame():
+    """From rest, and after the same frame by depth alone: its noise factor is not known yet."""
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
+    frame = eyes.see(truth, flow_px=0.3)
+    flow = eyes.flows[0].flow
+    sure = replace(flow, sigma_px=flow.sigma_px / 30.0)
+    eyes.flows[0] = eyes.flows[0]._replace(flow=sure)
+    for warm in (False, True):
+        eyes.pipeline.restart()
+        if warm:
+            eyes.pipeline.converge(frame)
+        traction = eyes.traction(frame)
+        assert traction.status == "ok", traction.reason
+        error = np.linalg.norm(traction.force_n - truth.force_n)
+        assert error < 0.05 * np.linalg.norm(truth.force_n)
+
+
+def test_frames_of_the_real_press_are_solved_alone_as_in_order(punyo_press_colour):
+    """Their flow is some fifteen times less precise than it says."""
+    with Recording(punyo_press_colour) as press:
+        pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), press.intrinsics)
+        watch_recorded_texture(pipeline, press, lambda: range(45, 55))
+        wanted, chosen = frozenset({"traction"}), (67, 68, 70, 73, 76)
+        in_order = {k: pipeline.process(press[k], wanted) for k in range(60, 77)}
+        for k in chosen:
+            pipeline.restart()
+            alone = pipeline.process(press[k], wanted)
+            assert alone.traction.status == "ok", alone.traction.reason
+            force = in_order[k].estimate.force_n
+            np.testing.assert_allclose(alone.estimate.force_n, force, atol=0.1)
 
 
 def test_no_contact():
