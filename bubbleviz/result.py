@@ -188,10 +188,11 @@ class Estimate:
     @property
     def force_half_width_n(self) -> float:
         """Half of the 95 % interval of |F|, N; NaN without contact, or for the paper's solver."""
-        size = 0.0 if self.force_n is None else float(np.linalg.norm(self.force_n))
-        if self.force_n is None or self.force_sigma_n is None or not size > 0.0:
+        force, covariance = self.force_n, self.wrench_covariance
+        if force is None or covariance is None or not np.linalg.norm(force) > 0.0:
             return float("nan")
-        return HALF_95 * float(np.linalg.norm(self.force_n / size * self.force_sigma_n))
+        direction = force / np.linalg.norm(force)
+        return HALF_95 * float(np.sqrt(direction @ covariance[:3, :3] @ direction))
 
     @property
     def motion_m(self) -> np.ndarray:
@@ -285,8 +286,7 @@ class Traction:
     # (n, 3), displacement from the reference surface minus its part along the deformed normal, m
     tangential_displacement_m: np.ndarray
     center_m: np.ndarray  # (3,), centre of the contact's normal force, m; NaN without contact
-    # (6, 6), of the force, N, and the torque about `center_m`, N·m, by noise, material and mesh;
-    # NaN by depth alone
+    # (6, 6), of the force, N, and the torque about `center_m`, N·m, as of the estimate
     wrench_covariance: np.ndarray
     # rms over the contact of the standard deviation of a node's displacement by noise, per axis, m
     displacement_sigma_m: float = np.nan

@@ -13,7 +13,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import Frame, force_of
 from bubbleviz.result import Estimate, Patch, Result, wrench_about
@@ -117,8 +116,8 @@ def summary_row(result: Result) -> dict[str, Any]:
 def _shear_row(result: Result) -> dict[str, Any]:
     """Traction and slip of a frame; empty without the product traction.
 
-    NaN for unknown values: σ of a traction from depth alone, slip without a sticking patch.
-    `traction_half_width_n`, half of the 95 % interval of |force|, is used in summaries.
+    NaN for unknown values, as slip without a sticking patch. `traction_half_width_n`, half of the
+    95 % interval of |force|, is used in summaries.
     """
     traction, slip = result.traction, result.slip
     if traction is None:
@@ -130,7 +129,7 @@ def _shear_row(result: Result) -> dict[str, Any]:
         "traction_force_sigma_n": traction.force_sigma_n,
         "traction_torque_nm": traction.torque_nm,
         "traction_torque_sigma_nm": traction.torque_sigma_nm,
-        "traction_half_width_n": ShearNumbers.of(traction).force_n[1],
+        "traction_half_width_n": result.solution[0].force_half_width_n,
         "flow_rms_px": traction.flow_rms_px,
         "slip": np.nan if slip is None else slip.share,
         "slip_sigma": np.nan if slip is None else slip.share_sigma,

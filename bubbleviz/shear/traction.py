@@ -54,7 +54,7 @@ def _of(
     along = np.einsum("ij,ij->i", moved, n)[:, None] * n
     center, covariance = _center(x, normal), _ALL_UNKNOWN
     fit = estimate.flow
-    if fit is not None and estimate.wrench_covariance is not None:
+    if status != "no_contact" and estimate.wrench_covariance is not None:
         about = wrench_about(center)
         covariance = about @ estimate.wrench_covariance @ about.T
     return Traction(

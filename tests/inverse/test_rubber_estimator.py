@@ -1,10 +1,12 @@
 """The inverse of the exact membrane: against the meridian's equations and simulated presses."""
 
 import os
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.ndimage import binary_dilation, binary_erosion
 
 from bubbleviz.camera import DepthCamera, MembraneView, RangeObserver
@@ -314,6 +316,21 @@ def test_sigma_includes_the_uncertainty_of_the_material(measured):
     forces = np.array([usual.estimate(image, gas)[0].force_n for image in images])
     assert np.all(forces.std(axis=0) < 2.0 * by_noise(a))
     assert forces[:, 2].std() > 0.4 * by_noise(a)[2]
+
+
+def test_interval_of_the_force_has_the_correlations_of_its_components():
+    """Against the magnitudes of forces that scatter with the covariance of the estimate."""
+    mesh, contact = pressed("sphere", 0.007)
+    solved = estimator().estimate(depth_image_of(mesh, contact.displacement_3d_m, NOISE_M))[0]
+    force = np.array([-2.0, 0.0, -2.0])
+    covariance = np.diag([0.01, 0.01, 0.01])
+    for shared in (0.009, -0.009):  # of x and z
+        covariance[0, 2] = covariance[2, 0] = shared
+        wrench = block_diag(covariance, np.eye(3))
+        estimate = replace(solved, force_n=force, wrench_covariance=wrench)
+        drawn = np.random.default_rng(3).multivariate_normal(force, covariance, 4000)
+        off = np.abs(np.linalg.norm(drawn, axis=1) - np.linalg.norm(force))
+        assert np.mean(off < estimate.force_half_width_n) == pytest.approx(0.95, abs=0.015)
 
 
 @pytest.mark.parametrize(

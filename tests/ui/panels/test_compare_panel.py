@@ -164,41 +164,41 @@ def test_live_frame_is_compared_with_zeroed_gas_pressure(open_bench):
     wait_until_as_shown(live)
 
 
-def test_tangential_force_of_the_friction_setting_is_shown_everywhere(drive):
+def test_friction_of_the_friction_setting_is_shown_everywhere(drive):
     driver = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=6)
     window, panel = driver.window, driver.window.compare
     driver.show("compare")
 
-    def tangential():
-        """Check the tangential force shown by the window."""
+    def shown_friction():
+        """Check the friction shown by the window."""
         said = " ".join(view_texts(driver))  # in the view nothing is said of what is not known
-        shown = said.split("tangential ")[1].split("   ")[0] if "tangential" in said else "–"
-        part = window.status.labels["force"].toolTip().split("without colour images: ")[1]
+        shown = said.split("friction ")[1].split("   ")[0] if "friction" in said else "–"
+        part = window.status.labels["force"].toolTip().split("by friction: ")[1]
         assert part.removesuffix(" (friction was not estimated)") == shown
         return shown
 
     friction = np.linalg.norm(driver.result.estimate.friction_n.sum(axis=0))
-    assert friction > 0.05 and tangential() == f"{friction:.2f} N"
-    driver.wait(lambda: text(driver, "tangential") == f"{friction:.2f} N")
+    assert friction > 0.05 and shown_friction() == f"{friction:.2f} N"
+    driver.wait(lambda: text(driver, "friction") == f"{friction:.2f} N")
     driver.choose(force_unit="mN")
-    assert tangential() == f"{1e3 * friction:.0f} mN" == text(driver, "tangential")
+    assert shown_friction() == f"{1e3 * friction:.0f} mN" == text(driver, "friction")
     driver.choose(force_unit="N")
-    assert text(driver, "tangential", of_b=True) == "–"  # none in the linear model
+    assert text(driver, "friction", of_b=True) == "–"  # none in the linear model
 
     driver.type(panel.a.controls["friction"], "0")
     assert panel.a.controls["friction"].text() == "none"
-    driver.wait(lambda: text(driver, "tangential") == "–")
+    driver.wait(lambda: text(driver, "friction") == "–")
     driver.click(panel.a.used)
     driver.wait(lambda: driver.pipeline.options.friction == 0.0)
     driver.wait_until_shown()
     estimate = driver.result.estimate
     assert not estimate.friction_n.any() and np.linalg.norm(estimate.force_n) > 0.1
-    assert tangential() == "–"
+    assert shown_friction() == "–"
     for _ in range(2):
         window.undo_stack.undo()
     driver.wait(lambda: driver.solver.current is not None)  # None while it is built
     driver.wait(lambda: driver.pipeline.options.friction == EstimatorOptions().friction)
     driver.wait_until_shown()
-    driver.wait(lambda: tangential() == f"{friction:.2f} N")
+    driver.wait(lambda: shown_friction() == f"{friction:.2f} N")
     driver.seek(0)
-    assert window.status.labels["force"].toolTip().endswith("without colour images: 0.00 N")
+    assert window.status.labels["force"].toolTip().endswith("by friction: 0.00 N")

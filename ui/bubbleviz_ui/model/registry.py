@@ -71,7 +71,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "readout": LayerKind(
             "Readout",
-            "Force, its tangential part, peak pressure and patch area, in the view;\n"
+            "Force, its part by friction, peak pressure and patch area, in the view;\n"
             "in brackets the areas of the smallest and the largest patch that noise allows",
             PATCH,
         ),

@@ -113,15 +113,15 @@ def force_text(result: Result, units: Units, *, final: bool = True) -> str:
     return text if final or estimate.status == "no_contact" else f"≈ {text}"
 
 
-def tangential_text(result: Result, units: Units) -> str:
-    """Tangential force; a dash if no friction was estimated."""
+def friction_text(result: Result, units: Units) -> str:
+    """Part of the force by friction; a dash if no friction was estimated."""
     patch = result.trusted_patch
     if patch is None:
         return units.force.text(None)
-    tangential = float(np.linalg.norm(patch.tangential_force_n))
+    friction = float(np.linalg.norm(patch.tangential_force_n))
     # an estimated amplitude is never exactly 0
-    estimated = tangential > 0.0 or not patch.force_n.any()
-    return units.force.text(tangential if estimated else None)
+    estimated = friction > 0.0 or not patch.force_n.any()
+    return units.force.text(friction if estimated else None)
 
 
 def pressure_text(place: Probed, units: Units) -> str:

@@ -30,7 +30,7 @@ from bubbleviz_ui.engine.source import RECORDINGS, Source
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, ComparedSetting
-from bubbleviz_ui.model.source_facts import force_text, tangential_text
+from bubbleviz_ui.model.source_facts import force_text, friction_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.shell import theme
@@ -47,7 +47,7 @@ ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "solver": ("Model", lambda m, u: m.solver),
     "status": ("Status", lambda m, u: m.numbers.status),
     "force": ("Force", lambda m, u: force_text(m.result, u)),
-    "tangential": ("Tangential force", lambda m, u: tangential_text(m.result, u)),
+    "friction": ("Friction", lambda m, u: friction_text(m.result, u)),
     "area": ("Patch area", lambda m, u: u.area.text(m.numbers.area_m2)),
     "residual": ("Residual", lambda m, u: u.fine_length.text(m.numbers.residual_m)),
     "force_error": ("Force error", lambda m, u: u.share.text(m.force_error)),

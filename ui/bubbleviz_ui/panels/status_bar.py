@@ -22,7 +22,7 @@ from bubbleviz_ui.model.demand import StageTime, StageTimes
 from bubbleviz_ui.model.frame_history import FrameHistory
 from bubbleviz_ui.model.registry import LAYERS, RESULT_PANELS
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import SourceFacts, force_text, tangential_text, untrusted_text
+from bubbleviz_ui.model.source_facts import SourceFacts, force_text, friction_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell.dock import Elided, fill
 from bubbleviz_ui.shell.table import Table
@@ -142,10 +142,10 @@ class StatusBar(QStatusBar):
         }
         for name, text in texts.items():
             self.labels[name].setText(text)
-        part = tangential_text(result, units)
+        part = friction_text(result, units)
         known = f"{part} (friction was not estimated)" if part == DASH and patch else part
-        tangential = f"tangential part of F, estimated without colour images: {known}"
-        self.labels["force"].setToolTip(untrusted_text(result) or f"{TIPS['force']};\n{tangential}")
+        friction = f"its part by friction: {known}"
+        self.labels["force"].setToolTip(untrusted_text(result) or f"{TIPS['force']};\n{friction}")
         self._solve_ms = result.times_ms.get("total")
 
     def show_rates(self, solve_hz: float, render_hz: float, dropped: int) -> None:

@@ -14,7 +14,7 @@ from bubbleviz.output import ComparedResult
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.settings import ColourMap, Settings
-from bubbleviz_ui.model.source_facts import UNTRUSTED_STATUS, force_text, tangential_text
+from bubbleviz_ui.model.source_facts import UNTRUSTED_STATUS, force_text, friction_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, pressure_colours
@@ -405,9 +405,9 @@ def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
     if result.object_patch is not None:
         by_object = units.area.text(result.object_patch.area_m2)
         patches = f"patch (white) {area}{SEPARATOR}by object (green) {by_object}"
-    tangential = tangential_text(result, units)
-    parts = [f"peak {peak}", f"tangential {tangential}", patches]
-    if tangential == DASH:
+    friction = friction_text(result, units)
+    parts = [f"peak {peak}", f"friction {friction}", patches]
+    if friction == DASH:
         del parts[1]
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
