@@ -400,7 +400,7 @@ class GaussNewton:
             known = step.balanced and noise_known and not large and searched
             if done or first_guess or known:
                 updated = self._updated_noise(step, observed, noise, image_shows_rest)
-                if done and _noise_converged(updated, noise, noises):
+                if done and _noise_converged(updated, noise, noises, int(warm)):
                     last = (following or observed).view
                     return self._result(step, observed, last, data.gas_pa, noise, solve_ms)
                 if done or first_guess:
@@ -815,23 +815,31 @@ def _contact_blocks(observed: LinearisedFrame, pressure: np.ndarray) -> int:
     return int(np.count_nonzero(sees & (observed.weight > 0.0)))
 
 
-def _noise_converged(updated: Noise, noise: Noise, earlier: list[Noise]) -> bool:
-    """Whether the noise factors have converged that a frame was solved with."""
+def _noise_converged(updated: Noise, noise: Noise, earlier: list[Noise], apart: int) -> bool:
+    """Whether the noise factors have converged that a frame was solved with.
+
+    They may be so many steps of the grid apart.
+    """
     by_kind = zip(updated, noise, zip(*earlier, strict=True) if earlier else ((), ()), strict=True)
     same = (
-        _factor_converged(now, before, list(others), ratio)
+        _factor_converged(now, before, list(others), ratio, apart)
         for (now, before, others), ratio in zip(by_kind, (_NOISE_RATIO, _FLOW_RATIO), strict=True)
     )
     return len(earlier) + 1 >= _MAX_NOISES or all(same)
 
 
-def _factor_converged(updated: float, noise: float, earlier: list[float], ratio: float) -> bool:
+def _factor_converged(
+    updated: float, noise: float, earlier: list[float], ratio: float, apart: int
+) -> bool:
     """Whether a noise factor has converged.
 
-    Neighbours on the grid count as equal: their ratio is two standard deviations. Two factors
-    further apart can alternate for ever, each with its own support: the larger one is taken.
+    Neighbours on the grid count as equal where a frame follows another one: their ratio is two
+    standard deviations. From rest they do not, as the support that is selected with the first guess
+    may be worse: forces of the real press that are reached in other ways then differ by up to 0.8
+    instead of 2.3 % in 95 of 100 cases. Two factors further apart can alternate for ever, each with
+    its own support: the larger one is taken.
     """
-    near = min(updated, noise) >= 1.0 and abs(_grid_index(updated / noise, ratio)) <= 1
+    near = min(updated, noise) >= 1.0 and abs(_grid_index(updated / noise, ratio)) <= apart
     alternating = updated < noise and updated in earlier
     return updated == noise or near or alternating
 
