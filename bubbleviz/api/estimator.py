@@ -26,6 +26,7 @@ from bubbleviz.recordings import AUTO, Frame, FrameSource, gas_warning, has_retu
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, contradiction, load_sensor, with_colour_delay
+from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
@@ -263,6 +264,7 @@ class FrameSolver:
         self._products, self._options = products, options
         self._measured_pa: float | None = None
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
+        self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
@@ -276,6 +278,10 @@ class FrameSolver:
                 self.texture.take(result)
         if result.estimate is not None and result.estimate.image_errors is not None:
             self._image_errors.append(result.estimate.image_errors)
+        friction = _least_friction(result)
+        if friction > self.pipeline.options.friction:
+            self._frames_over += 1
+            self._most_friction = max(self._most_friction, friction)
         return result
 
     def drift_warning(self) -> str:
@@ -290,6 +296,17 @@ class FrameSolver:
         return (
             f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration; forces are "
             "corrected for that. Let the camera warm up, or identify the sensor again"
+        )
+
+    def friction_warning(self) -> str:
+        """Warning if friction exceeds the expected coefficient beyond its interval; else empty."""
+        if not self._frames_over:
+            return ""
+        return (
+            f"friction in {count_of(self._frames_over, 'frame')} is at least "
+            f"{self._most_friction:.2g} of the normal force, more than the expected coefficient of "
+            f"{self.pipeline.options.friction:.2g}, which makes its estimate too small: repeat "
+            "with a larger --friction"
         )
 
     def sensor_warning(self, where: str) -> str:
@@ -323,6 +340,16 @@ def solved(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> I
     for done, index in enumerate(frames.chosen, 1):
         yield solver.solve(frames.source[index])
         progress("solving", done / len(frames))
+
+
+def _least_friction(result: Result) -> float:
+    """Friction over normal force, less half of the interval of the force; NaN if unknown."""
+    estimate, patch = result.trusted_estimate, result.trusted_patch
+    if estimate is None or patch is None or estimate.status == "no_contact":
+        return math.nan
+    normal = float(np.linalg.norm(patch.force_n - patch.tangential_force_n))
+    friction = float(np.linalg.norm(patch.tangential_force_n))
+    return (friction - estimate.force_half_width_n) / normal if normal else math.nan
 
 
 def _camera_warning(pipeline: Pipeline, where: str) -> str:

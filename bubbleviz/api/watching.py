@@ -235,7 +235,8 @@ def _watch(
     if shear is not None and texture is not None:
         shear.reference = texture.words
     solver = watcher.solver
-    warnings = solver.sensor_warning("source"), solver.drift_warning(), stream.frozen
+    of_source = solver.sensor_warning("source"), stream.frozen
+    warnings = *of_source, solver.drift_warning(), solver.friction_warning()
     return WatchSummary(
         frames=statuses.total(),
         status=dict(statuses),

@@ -1,5 +1,7 @@
 """Friction from depth alone, on rubber of another solver and presses on another mesh."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -70,6 +72,20 @@ def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist)
     frictionless = Pipeline.of(sensor(1000), options=EstimatorOptions(friction=0.0))
     without = frictionless.process(frame, PRODUCTS).estimate
     assert np.linalg.norm(without.force_n - truth.force_n) > 0.08 * size or not without.trusted
+
+
+def test_more_friction_than_expected_gives_a_warning():
+    eyes = Eyes()
+    frames = [eyes.see(stuck("puck", 0.004, drag, 0.0)) for drag in (0.0, 0.002)]
+    truth = stuck("puck", 0.004, 0.002, 0.0).force_n
+    warned = bv.estimate(frames, sensor(), friction=0.2, zero_gas=False).warning
+    told = re.fullmatch(
+        r"friction in 1 frame is at least (\S+) of the normal force, more than the expected "
+        r"coefficient of 0\.2, .* --friction",
+        warned,
+    )
+    assert 0.2 < float(told[1]) < np.linalg.norm(truth[:2]) / abs(truth[2])
+    assert bv.estimate(frames, sensor(), zero_gas=False).warning is None
 
 
 def test_long_drag_is_tracked_by_depth_alone():
