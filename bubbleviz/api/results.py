@@ -707,6 +707,7 @@ def _dimensions() -> dict[str, tuple[str, ...]]:
     """Dimensions of the arrays of RESULT.npz by name."""
     second: dict[int, tuple[str, ...]] = {0: (), 2: ("bound",), 3: ("axis",)}
     frames = {key: ("frame", *second[len(names)]) for key, names in COLUMNS.items()}
+    frames["wrench_covariance"] = ("frame", "component", "other_component")
     nodal = {
         key: ("frame", "node", "axis") if more else ("frame", "node")
         for key, more in NODAL_FIELDS.items()

@@ -15,7 +15,7 @@ import numpy as np
 
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import Frame, force_of
-from bubbleviz.result import Estimate, Patch, Result, wrench_about
+from bubbleviz.result import Estimate, Patch, Result
 
 
 def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
@@ -56,6 +56,9 @@ NODAL_FIELDS: dict[str, tuple[int, ...]] = {
 """Keys of RESULT.npz with values per frame and node, and the shape of a value. The patch is where
 `patch_level` is positive; the last two exist only with the product traction."""
 
+_COVARIANCE = "wrench_covariance"
+"""Key of RESULT.npz with that of `Estimate`, (F, 6, 6); no columns of the CSV."""
+
 _OF_SHEAR = ("traction_pa", "tangential_displacement_m")
 
 _TEXTS = ("status", "traction_status", "traction_reason")
@@ -74,9 +77,10 @@ def magnitude_half_width_n(estimate: Estimate) -> float:
 
 
 def summary_row(result: Result) -> dict[str, Any]:
-    """Values of one frame by key of `COLUMNS`; NaN if unknown, as without trusted estimate.
+    """Values of one frame by key of `COLUMNS`, and the covariance of the wrench.
 
-    `FrameTable` fills in the measured force, whose bias depends on all frames, from `wrench_n`.
+    NaN if unknown, as without trusted estimate. `FrameTable` fills in the measured force, whose
+    bias depends on all frames, from `wrench_n`.
     """
     estimate, patch = result.solution
     sigma, gas_pa = estimate.force_sigma_n, result.frame.gas_pressure_pa
@@ -106,11 +110,17 @@ def summary_row(result: Result) -> dict[str, Any]:
         "gas_pressure_pa": np.nan if gas_pa is None else gas_pa,
         "iterations": estimate.iterations,
         "stamp_ns": result.frame.stamp_ns,
+        _COVARIANCE: _known_covariance(estimate),
     }
     if not estimate.trusted:
         for key in row.keys() & COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row | _shear_row(result)
+
+
+def _known_covariance(estimate: Estimate) -> np.ndarray:
+    covariance = estimate.wrench_covariance
+    return np.full((6, 6), np.nan) if covariance is None else covariance
 
 
 def _shear_row(result: Result) -> dict[str, Any]:
@@ -175,7 +185,11 @@ def result_arrays(
 
 
 def _columns(rows: Sequence[dict[str, Any]]) -> dict[str, np.ndarray]:
-    return {key: np.array([row[key] for row in rows]) for key in COLUMNS if key in rows[0]}
+    return {
+        key: np.array([row[key] for row in rows])
+        for key in (*COLUMNS, _COVARIANCE)
+        if key in rows[0]
+    }
 
 
 def surface_arrays(mesh: MembraneMesh) -> dict[str, np.ndarray]:
@@ -197,12 +211,13 @@ def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
     # missing in files of version 0.2
     defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}
     values = {key: np.full(frames, value) for key, value in defaults.items()}
-    values |= {key: np.full((frames, 3), np.nan) for key in ("wrench_n", "torque_sigma_nm")}
+    values |= {"wrench_n": np.full((frames, 3), np.nan)}
     values |= arrays
     shapes: dict[str, tuple[int, ...]] = {
         **{key: (len(names),) if names else () for key, names in COLUMNS.items()},
         **{key: (nodes, *shape) for key, shape in NODAL_FIELDS.items()},
         "patch_mask": values["patch_mask"].shape[1:3],  # any image's
+        _COVARIANCE: (6, 6),
     }
     per_frame = values.keys() & shapes
     for key in per_frame:
@@ -223,13 +238,10 @@ def _result_of(values: dict[str, Any]) -> Result:
     optional = {
         key: None if np.isnan(values[key]) else values[key] for key in ("kappa", "gas_pressure_pa")
     }
-    # correlations of force and torque are not in the file
-    at_center = wrench_about(-np.nan_to_num(values["center_of_pressure_m"]))
-    by_force = at_center[:, :3] * values["force_sigma_n"]
-    covariance = by_force @ by_force.T
-    covariance[3:, 3:] += np.diag(values["torque_sigma_nm"] ** 2)
+    if _COVARIANCE not in values:  # as in files of version 0.2
+        sigma = np.append(values["force_sigma_n"], np.full(3, np.nan))
+        values[_COVARIANCE] = np.diag(sigma**2)
     values |= optional | {
-        "wrench_covariance": covariance,
         "index": values["frame"],
         "depth_m": np.empty((0, 0), np.float32),
         "wrench": np.append(values["wrench_n"], np.full(3, np.nan)),

@@ -82,6 +82,7 @@ def test_result_has_every_documented_key(result):
         "patch_area_interval_m2": (frames, 2), "kappa": (frames,), "seen_share": (frames,),
         "wrench_n": (frames, 3), "gas_pressure_pa": (frames,), "iterations": (frames,),
         "stamp_ns": (frames,), "sensor_toml": (), "version": (), "solver": (),
+        "wrench_covariance": (frames, 6, 6),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
     kinds = {key: array.dtype.kind for key, array in result.items()}
@@ -296,7 +297,7 @@ def test_a_frame_without_data_has_no_numbers():
     (result,) = fake_results(1, 3, (4, 5))
     assert result.estimate is not None
     row = summary_row(replace(result, estimate=replace(result.estimate, status="no_data")))
-    assert {"wrench_n", "force_sigma_n"} <= set(row) <= {*COLUMNS, "wrench_n"}
+    assert {"wrench_n", "force_sigma_n"} <= set(row) <= {*COLUMNS, "wrench_covariance"}
     assert np.isnan(row["force_n"]).all()
     assert row["force_n"].shape == (3,)
     assert row["frame"] == 0

@@ -48,7 +48,8 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
     estimate = driver.result.estimate
     force = np.linalg.norm(estimate.force_n)
-    half = 1.96 * np.linalg.norm(estimate.force_n * estimate.force_sigma_n) / force
+    along = estimate.force_n / force
+    half = 1.96 * np.sqrt(along @ estimate.wrench_covariance[:3, :3] @ along)
     assert half > 0.0
     shown = f"{force:.2f} ± {half:.2f} N"
     window = driver.window
