@@ -13,6 +13,7 @@ from vtkmodules.vtkRenderingCore import vtkRenderWindow
 from window_driver import Driver
 
 from bubbleviz.simulation import default_press
+from bubbleviz_ui.engine import sensor_client
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.source import CachedSource
 from bubbleviz_ui.main_window import MainWindow
@@ -43,8 +44,15 @@ def qapp():
 
 
 @pytest.fixture
-def new_window(qtbot, qapp):
+def sampled_frames():
+    """How many frames are solved ahead for the scales: of the press, two are in contact."""
+    return 4
+
+
+@pytest.fixture
+def new_window(qtbot, qapp, monkeypatch, sampled_frames):
     """Create windows without a source; closed after the test."""
+    monkeypatch.setattr(sensor_client, "SAMPLED_FRAMES", sampled_frames)
     windows: list[MainWindow] = []
 
     def make(quality=FAST):

@@ -11,7 +11,13 @@ from PySide6.QtCore import QPoint, Qt
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from window_driver import CTRL, Driver, hover, view_texts, vtk_props
 
+from bubbleviz_ui.engine.sensor_client import SAMPLED_FRAMES
 from bubbleviz_ui.export.exporting import KINDS
+
+
+@pytest.fixture
+def sampled_frames():
+    return SAMPLED_FRAMES
 
 
 class LongSource(DentSource):
