@@ -21,13 +21,15 @@ from bubbleviz.sensor_model import SensorModel
 from .identified import identify
 from .twin import FREE, cast, make_twin, nominal_sensor
 
+REST = 15
+"""Frames at rest that are enough for every verdict."""
 PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
 
 
 @pytest.fixture(scope="module")
 def sensor(tmp_path_factory):
     """Of the twin, identified from a recording of another day."""
-    found = identify(make_twin(frames=FREE), nominal_sensor(), range(FREE))
+    found = identify(make_twin(frames=FREE), nominal_sensor(), range(FREE), nodes=400)
     file = tmp_path_factory.mktemp("check") / "twin.toml"
     write_sensor(found, file)
     file.write_text(file.read_text().replace("[membrane]", "[membrane]\nprestretch = 1.3"))
@@ -41,7 +43,7 @@ def twin():
 
 @pytest.fixture(scope="module")
 def rest(twin):
-    return [twin[k] for k in range(FREE)]
+    return [twin[k] for k in range(REST)]
 
 
 def with_depth(frames, change):
@@ -53,9 +55,9 @@ def size_of(found, quantity):
 
 
 def test_the_same_sensor_raises_no_alarm(sensor):
-    for seed in range(20 if "TEST_ALL" in os.environ else 8):
-        again = make_twin(noise_seed=100 + seed, frames=15)
-        found = bv.check([again[k] for k in range(15)], sensor)
+    for seed in range(20 if "TEST_ALL" in os.environ else 4):
+        again = make_twin(noise_seed=100 + seed, frames=REST)
+        found = bv.check([again[k] for k in range(REST)], sensor)
         assert found.verdict == "fits", found.reason
         assert abs(found.bias_m) < 2e-5
 
@@ -151,6 +153,7 @@ def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
     assert refused.exit_code == 2 and "no contact-free frames" in refused.stderr
 
 
+@pytest.mark.long  # in short: of the twin, above
 @pytest.mark.skipif(not PRESS.exists(), reason="the real recording is not here")
 def test_the_real_press():
     frames = bv.open(PRESS)
