@@ -43,7 +43,7 @@ DECODED = {
 def watched(tmp_path_factory, small_sensor):
     out = tmp_path_factory.mktemp("watch") / "watch.mcap"
     source = "synthetic:cylinder?frames=20&rate=10&ahead=1"
-    done = bv.watch(source, small_sensor, out=out, object="cylinder", duration_s=5.0)
+    done = bv.watch(source, small_sensor, out=out, object="cylinder", duration_s=2.5)
     assert done.status.get("ok", 0) > 3
     return out
 

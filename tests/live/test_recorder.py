@@ -216,16 +216,17 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, 
     assert path.stat().st_size == int(done.stdout.split()[1])
 
 
-def test_failed_replacement_restores_the_earlier_recording(tmp_path):
+def test_failed_replacement_restores_the_earlier_recording(tmp_path, small_sensor_file):
     path = tmp_path / "earlier.mcap"
     path.write_bytes(b"an earlier recording")
     code = f"""
         import resource, signal
         import bubbleviz as bv
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+        sensor, path = {str(small_sensor_file)!r}, {str(path)!r}
         try:
-            bv.record("synthetic:?rate=100&noise=0.01", {str(path)!r}, overwrite=True)
+            bv.record("synthetic:?rate=100&noise=0.01", path, sensor=sensor, overwrite=True)
         except bv.InputError as error:
             print(error)
     """
