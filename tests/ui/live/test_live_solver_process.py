@@ -90,7 +90,7 @@ def test_solver_process_gives_the_same_result_as_a_local_pipeline(sensor):
     assert none_left()
 
 
-def test_killed_solver_process_is_reported_and_processes_end_with_their_source(open_bench):
+def test_killed_solver_process_is_reported_and_others_end_with_the_window(open_bench):
     bench, port = open_bench(), free_port()
     with robot(port):
         # a single camera has none
@@ -102,10 +102,19 @@ def test_killed_solver_process_is_reported_and_processes_end_with_their_source(o
         for child in active_children():
             os.kill(child.pid, signal.SIGKILL)
         bench.wait_for_message("its solver process has ended", "code -9")
-        bench.wait_for_frames(5)
+        bench.wait_for_frames(2)
         assert none_left()
         known = bench.state.history.values["latency_ms"][before : bench.shown_frame]
         assert np.isfinite(known).all()  # including the frame in progress
+        connect_two(bench, port)
+        bench.window.close()
+        bench.wait(none_left)
+
+
+@pytest.mark.long  # in short: with the window, above
+def test_solver_processes_end_with_their_source(open_bench):
+    bench, port = open_bench(), free_port()
+    with robot(port):
         connect_two(bench, port)
         bench.state.freeze(True)
         bench.window.live.leave.click()
@@ -116,6 +125,3 @@ def test_killed_solver_process_is_reported_and_processes_end_with_their_source(o
         bench.wait(none_left)
         bench.wait_for_frames(5)
         assert none_left()
-        connect_two(bench, port)
-        bench.window.close()
-        bench.wait(none_left)

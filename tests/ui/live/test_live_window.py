@@ -31,8 +31,8 @@ def test_live_frames_are_shown_frozen_and_resumed(open_bench):
     assert np.isfinite(history.values["residual_m"][1 : live.shown_frame]).all()
     live.window.show_rates()
     assert live.window.status.labels["latency"].text().endswith(" ms")
-    live.wait_for_frames(10)
-    back = live.state.frame - 5
+    live.wait_for_frames(3)
+    back = live.state.frame - 2
     live.state.seek(back)
     live.wait(lambda: live.shown_frame == back)
     assert live.state.frozen and live.is_checked(frozen)
@@ -41,7 +41,7 @@ def test_live_frames_are_shown_frozen_and_resumed(open_bench):
     assert live.shown_frame == back and live.state.facts.frames <= frames + 2
     live.window.playback.go_live.click()
     live.wait_for_frames(2)
-    assert not live.state.frozen and live.shown_frame > back + 5 and not live.is_checked(frozen)
+    assert not live.state.frozen and live.shown_frame > back + 2 and not live.is_checked(frozen)
     live.show("calibration")
     box = live.window.calibration.frames.collect
     live.wait(box.button.isEnabled)
@@ -130,7 +130,7 @@ def test_window_with_live_bar_fits_a_small_screen(open_bench):
 def test_dropped_frame_gives_a_message_and_a_frozen_one_is_kept(open_bench, monkeypatch):
     monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.05)
     live = connected_bench(open_bench)
-    live.wait_for_frames(5)
+    live.wait_for_frames(2)
     live.state.seek(0)
     live.wait_for_message("to keep all frames")
     live.state.freeze(False)
@@ -138,7 +138,7 @@ def test_dropped_frame_gives_a_message_and_a_frozen_one_is_kept(open_bench, monk
     live.window.message.hide()
     monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.0)
     for _ in range(2):
-        live.wait_for_frames(5)
+        live.wait_for_frames(2)
         live.key(Qt.Key.Key_F)
         assert live.state.frozen
         shown = live.shown_frame
@@ -167,7 +167,6 @@ def one_frame_everywhere(live):
 
 def test_frozen_view_shows_one_frame_and_missed_frames_are_no_outage(open_bench):
     live = connected_bench(open_bench)
-    live.wait_for_frames(5)
     live.window.playback.freeze.click()
     live.wait(lambda: live.state.frozen)
     last, before_s = live.state.facts.frames - 1, live.state.facts.times_s[-1]
@@ -180,7 +179,7 @@ def test_frozen_view_shows_one_frame_and_missed_frames_are_no_outage(open_bench)
     # a frozen view and an ended source show the same frame everywhere
     live.show("threshold")
     for _ in range(2):
-        live.wait_for_frames(3)
+        live.wait_for_frames(1)
         live.window.playback.freeze.click()
         live.wait(lambda: live.state.frozen and one_frame_everywhere(live))
         live.window.playback.go_live.click()

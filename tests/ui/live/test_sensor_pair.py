@@ -73,7 +73,6 @@ def test_both_sensors_are_solved_placed_and_fully_visible(open_bench):
     bench.window.resize(1400, 640)
     bench.window.use_scene(load_scene("review"))
     bench.state.change(layers=frozenset({"rim", "membrane"}))
-    bench.wait_for_frames(2)
     bench.wait_for_redraw()
     view = bench.window.view
     assert view.width() > 2 * view.height()
@@ -85,8 +84,8 @@ def test_both_sensors_are_solved_placed_and_fully_visible(open_bench):
     # solved in separate threads and drawn at their poses
     assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 2
     before = other(bench)
-    bench.wait_for_frames(5)
-    bench.wait(lambda: other(bench) > before + 3)
+    bench.wait_for_frames(3)
+    bench.wait(lambda: other(bench) > before + 2)
     # The other's dome points at ours from 120 mm away, along our own z. Its rim is the same in
     # every frame; the force arrow, for one, is longer or shorter.
     dome = robot_sensor().membrane
@@ -124,7 +123,7 @@ def test_both_sensors_pause_at_the_same_time_and_panels_switch(open_bench):
     bench = paired(open_bench)
     frames = bench.run.frames[1]
     for _ in range(2):
-        bench.wait_for_frames(3)
+        bench.wait_for_frames(1)
         bench.state.set_playing(False)
         bench.wait_for_messages(3, sensor=1)
         bench.wait(
@@ -134,7 +133,7 @@ def test_both_sensors_pause_at_the_same_time_and_panels_switch(open_bench):
         bench.wait(lambda now=now: other(bench) == frames.at(now))
         bench.state.set_playing(True)
     # panels switch to the other sensor and back
-    bench.wait_for_frames(5)
+    bench.wait_for_frames(1)
     first, worker = bench.state.history, bench.window.controller.worker
     known = len(first)
     assert bench.state.facts.title == "Two, left"
@@ -219,7 +218,7 @@ def test_both_sensors_use_the_scale_of_the_colour_bar(open_bench):
     connect_played(bench, DentSource(robot_sensor()))
     for _ in range(2):
         before = len(seen)
-        bench.wait(lambda before=before: len(seen) > before + 8)
+        bench.wait(lambda before=before: len(seen) > before + 4)
         bench.window.pair.switch()
     assert all(len(set(ends)) == 1 for ends in seen), seen
     bench.wait(lambda: len(set(seen)) > 1)  # the scale has changed
