@@ -109,8 +109,7 @@ def test_good_and_corrupted_recordings(recordings, sensor, tmp_path):
 
 def test_truncated_recording_is_reported(recordings, sensor, tmp_path):
     cut = recordings / "cut.mcap"
-    record = [*COMMAND[:-1], "record", "--source", f"replay:{recordings / 'a.mcap'}", "--out", cut]
-    subprocess.run(record, check=True, capture_output=True)
+    output_of("record", "--source", f"replay:{recordings / 'a.mcap'}", "--out", cut)
     cut.write_bytes(cut.read_bytes()[:-40])
     row = run_job(Job("cut.mcap", str(cut), str(tmp_path / "cut"), str(sensor), {}))
     assert row.outcome == "done"

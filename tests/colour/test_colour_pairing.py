@@ -1,7 +1,6 @@
 """Colour and depth are paired by time stamp and a given delay."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from tests.colour.speckle import camera, clean_image, dragged
 from tests.recordings.bagmaker import PERIOD, SECOND, START, BagMaker
 
 PERIOD_S = PERIOD / SECOND
-SMALL = {"width": 320, "height": 240, "fx": 215.0, "fy": 215.0, "cx": 159.5, "cy": 119.5}
-TRUTH = Path(__file__).parents[3] / "shared" / "data" / "rubber_truth"
 
 
 def press(times_s):

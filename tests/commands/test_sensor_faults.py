@@ -113,7 +113,8 @@ def undisturbed(punyo_press, tmp_path_factory):
 @pytest.mark.parametrize(
     "change",
     [
-        *(pytest.param(pressure(pa), id=f"pressure {pa:+} Pa") for pa in (300, 1000, 3000, -1000)),
+        # other shifts of the same press by the library: calibration/test_weather.py
+        pytest.param(pressure(1000), id="pressure +1000 Pa"),
         pytest.param(depth(drift), id="depth drifts by 0.5 mm"),
         pytest.param(depth(lambda image, _: image * np.float32(0.995)), id="depth × 0.995"),
         pytest.param(focal_length(1.02), id="focal lengths × 1.02"),

@@ -35,10 +35,10 @@ def folder(tmp_path_factory):
 def study(sensor, folder):
     """A pair of balls, and a cylinder, on a coarse sensor; ground truth by the exact model."""
     grid = Grid(
-        objects=OBJECTS, presses=1, starts=1, truth_nodes=1_500 if LONG else 600, seed=11,
+        objects=OBJECTS, presses=1, starts=1, truth_nodes=1_500 if LONG else 400, seed=11,
         noise_relative=0.003,
     )  # fmt: skip
-    return pose_study(with_nodes(sensor, 1_200 if LONG else 400), grid).run(folder)
+    return pose_study(with_nodes(sensor, 1_200 if LONG else 200), grid).run(folder)
 
 
 def test_judge_of_a_flat_face(sensor):
