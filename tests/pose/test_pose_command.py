@@ -77,8 +77,9 @@ def test_area_of_the_object_patch_is_an_optional_column(folder):
     assert summary["median_object_patch_area_m2"] == pytest.approx(median)
     columns = read_poses(folder / "areas.csv")
     assert columns[3]["pose_object_patch_area_m2"] == float(pressed[-1]["object_patch_area_m2"])
-    again = output_of(*command(folder, "areas.csv", *more[:-1], "--overwrite"))
-    assert f"{1e6 * median:.0f} mm² by the object" in again
+    told = output_of(*command(folder, "areas.csv", *more[:-1], "--frames", "2:3", "--overwrite"))
+    (row,) = read_poses(folder / "areas.csv").values()
+    assert f"{1e6 * row['pose_object_patch_area_m2']:.0f} mm² by the object" in told
 
 
 def test_bad_input_is_one_line(folder, tmp_path):

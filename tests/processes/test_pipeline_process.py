@@ -52,7 +52,7 @@ def gone(pid):
     return False
 
 
-def test_results_equal_those_of_a_local_pipeline(process, sensor, frames):
+def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sensor, frames):
     here = Pipeline.of(load_sensor(sensor))
     here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)
     for frame in frames[1:]:
@@ -73,9 +73,7 @@ def test_results_equal_those_of_a_local_pipeline(process, sensor, frames):
             np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9 * scale)
         np.testing.assert_array_equal(a.patch.pixel_mask, b.patch.pixel_mask)
     assert {each.estimate.status for each in (a, b)} == {"no_contact"}
-
-
-def test_frames_are_solved_in_the_process_and_counted_locally(process, pipeline, frames):
+    # solved there, counted here
     before = pipeline.counts["estimate"]
     pipeline.restart()
     cold = pipeline.estimate_once(frames[2])
@@ -83,6 +81,12 @@ def test_frames_are_solved_in_the_process_and_counted_locally(process, pipeline,
     assert pipeline.counts["estimate"] == before + 1
     again = pipeline.estimate_once(frames[2])  # from rest still: nothing was solved here
     np.testing.assert_array_equal(again.contact_pressure_pa, cold.contact_pressure_pa)
+    # it continues after an error
+    wrong = Frame(7, 0.0, np.ones((3, 4), np.float32))
+    with pytest.raises(InputError, match="frame 7: image is 4×3 pixels"):
+        process.process(wrong, DEPTH_PRODUCTS)
+    assert process.process(frames[1], DEPTH_PRODUCTS).estimate is not None
+    assert process.pid is not None and process.lost == ""
 
 
 @pytest.mark.parametrize(
@@ -96,26 +100,14 @@ def test_crashed_or_hanging_process_loses_no_frame(process, frames, how, words):
     pid = process.pid
     assert pid is not None
     os.kill(pid, how)
+    # what needs colour is computed here: nobody has noticed
+    assert process.process(frames[1], frozenset({"estimate", "pose"})).estimate is not None
+    assert process.lost == ""
     for frame in frames[2:]:
         result = process.process(frame, DEPTH_PRODUCTS, OPTIONS)
         assert result.estimate is not None and result.frame is frame
         assert process.lost == words
     assert process.pid is None and gone(pid)
-
-
-def test_frame_errors_are_raised_locally_and_the_process_continues(process, frames):
-    wrong = Frame(7, 0.0, np.ones((3, 4), np.float32))
-    with pytest.raises(InputError, match="frame 7: image is 4×3 pixels"):
-        process.process(wrong, DEPTH_PRODUCTS)
-    assert process.process(frames[1], DEPTH_PRODUCTS).estimate is not None
-    assert process.pid is not None and process.lost == ""
-
-
-def test_products_needing_colour_are_computed_locally(process, frames):
-    assert process.pid is not None
-    os.kill(process.pid, signal.SIGKILL)
-    assert process.process(frames[1], frozenset({"estimate", "pose"})).estimate is not None
-    assert process.lost == ""  # nobody has noticed
 
 
 def test_close_ends_the_process_even_during_startup(pipeline, frames):
