@@ -43,16 +43,15 @@ def qapp():
     return application()
 
 
-@pytest.fixture
-def sampled_frames():
-    """How many frames are solved ahead for the scales: of the press, two are in contact."""
-    return 4
+@pytest.fixture(autouse=True)
+def few_sampled_frames(monkeypatch):
+    """Few frames are solved ahead for the scales: of the press, two are in contact."""
+    monkeypatch.setattr(sensor_client, "SAMPLED_FRAMES", 4)
 
 
 @pytest.fixture
-def new_window(qtbot, qapp, monkeypatch, sampled_frames):
+def new_window(qtbot, qapp):
     """Create windows without a source; closed after the test."""
-    monkeypatch.setattr(sensor_client, "SAMPLED_FRAMES", sampled_frames)
     windows: list[MainWindow] = []
 
     def make(quality=FAST):

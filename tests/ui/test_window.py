@@ -274,7 +274,7 @@ def test_unreadable_or_failing_frame_gives_a_message_and_stops_playback(drive):
     assert "Traceback" in QApplication.clipboard().text()
 
 
-def test_window_and_force_fit_a_small_screen(drive):
+def test_window_force_and_panels_fit_a_small_screen(drive):
     driver = drive(DentSource, frame=6)
     labels = driver.window.status.labels
     driver.window.resize(1016, 660)
@@ -300,22 +300,7 @@ def test_window_and_force_fit_a_small_screen(drive):
     bars = window.view.width() * left_of_bars(window.view.width())
     (rest,) = (text for text in text_actors(driver) if text.GetInput().startswith("peak"))
     assert 0.3 * bars < right_end(driver, rest) < bars
-    window.resize(1200, 700)
-    driver.wait(lambda: window.playback.width() < window.width() - 200)
-
-
-def seen(widget):
-    """Height of the part of a widget that is on the screen, px."""
-    return widget.visibleRegion().boundingRect().height()
-
-
-def test_panels_become_tabs_where_the_window_would_grow_beyond_the_screen(drive):
-    """As in a window of 1024×700 pixels at 150 %, minus the frame."""
-    driver = drive(DentSource, frame=6)
-    window = driver.window
-    window.resize(850, 427)
-    driver.wait(lambda: window.minimumSize().width() <= 675)
-    driver.resize(675, 427)
+    # panels become tabs where the window would grow beyond the screen
     driver.show("compare")
     results = [label for of in (window.compare.a, window.compare.b) for label in of.values.values()]
     driver.wait(lambda: all(seen(label) == label.height() for label in results))
@@ -332,6 +317,13 @@ def test_panels_become_tabs_where_the_window_would_grow_beyond_the_screen(drive)
     window.panels["compare"].hide()
     driver.show("compare")  # in front of the tabs it was behind
     driver.wait(lambda: seen(window.compare) > 50)
+    driver.resize(1200, 700)
+    driver.wait(lambda: window.playback.width() < window.width() - 200)
+
+
+def seen(widget):
+    """Height of the part of a widget that is on the screen, px."""
+    return widget.visibleRegion().boundingRect().height()
 
 
 def right_end(driver, text):

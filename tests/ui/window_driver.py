@@ -198,6 +198,12 @@ class Driver:
         self.state.seek(frame)
         self.wait_until_shown()
 
+    def pass_by(self, frames):
+        """Show frames one after another, without waiting for their cold solves."""
+        for frame in frames:
+            self.state.seek(frame)
+            self.wait(self.shows_cursor_frame)
+
     def open(self, title, opener, sensor, **at):
         """Open another source in the same window; returns at once."""
         live = at.pop("live", False)

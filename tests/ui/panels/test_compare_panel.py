@@ -37,23 +37,18 @@ def wait_until_as_shown(driver):
     driver.wait(as_shown)
 
 
-def test_results_are_visible_when_the_panel_opens_in_the_smallest_window(drive):
-    driver = drive(DentSource, frame=PRESSED)
-    assert driver.size == (1024, 700) and driver.window.panels["layers"].isVisible()
-    driver.show("compare")
-    panel = driver.window.compare
-    labels = [label for column in (panel.a, panel.b) for label in column.values.values()]
-    driver.wait(lambda: text(driver, "frame") == f"{PRESSED}")
-    driver.wait(lambda: all(at.visibleRegion().boundingRect().size() == at.size() for at in labels))
-
-
 def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
     a, b = ComparedSetting(solver="linear", kappa=1.0), ComparedSetting(solver="linear", kappa=20.0)
     driver.choose(layers=frozenset({"membrane", "compared"}), compared=(a, b))
     assert outlines(driver) == [0, 0]
+    # in the smallest window all results are visible
+    assert driver.size == (1024, 700) and driver.window.panels["layers"].isVisible()
     dock.show()
+    columns = driver.window.compare.a, driver.window.compare.b
+    labels = [label for column in columns for label in column.values.values()]
+    driver.wait(lambda: all(at.visibleRegion().boundingRect().size() == at.size() for at in labels))
     driver.wait(lambda: min(outlines(driver)) > 20)
     assert outlines(driver)[0] > 1.1 * outlines(driver)[1]  # A's patch is the larger one
     areas, residuals = (
@@ -145,7 +140,7 @@ def test_current_setting_measures_what_the_window_shows(drive):
         lambda _, new: named.append((text(driver, "frame"), new[0].result.frame.index))
     )
     driver.state.set_playing(True)
-    driver.wait(lambda: len(named) > 5)
+    driver.wait(lambda: len(named) > 2)
     driver.state.set_playing(False)
     driver.wait_until_shown()
     driver.wait(lambda: text(driver, "frame") == f"{driver.state.frame}")

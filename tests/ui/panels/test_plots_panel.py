@@ -59,19 +59,19 @@ def curve(driver, plot, name, known):
 
 def test_all_frames_are_analysed_in_the_background(drive, sensor):
     whole = default_press(sensor)
-    fewer = CachedSource(SyntheticSource(sensor, whole.obj, whole.poses[::5], whole.noise))
+    fewer = CachedSource(SyntheticSource(sensor, whole.obj, whole.poses[::10], whole.noise))
     driver = drive(lambda _: fewer)
     panel, history = opened(driver, "force", "area"), driver.state.history
     driver.click(panel.analyse)
     driver.wait(lambda: not len(history.missing(PATCH)))
-    _, force = curve(driver, "force", "force_n", 30)
+    _, force = curve(driver, "force", "force_n", 15)
     driver.wait(lambda: not panel.progress.isVisible())
     assert driver.state.frame == 0
-    for frame in (1, 12, 15):  # the same as when shown
+    for frame in (0, 6, 8):  # the same as when shown
         driver.seek(frame)
         found = np.linalg.norm(driver.result.patch.force_n)
         assert force[frame] == pytest.approx(found, rel=0.05, abs=1e-6)
-    assert force[1] == 0.0 and force[15] > 0.5
+    assert force[0] == 0.0 and force[8] > 0.5
     # areas of all frames follow κ, from cached estimates
     driver.wait(lambda: np.isfinite(history.quantity("area_m2")).all())
     before, solved = history.quantity("area_m2").copy(), driver.solver.counts["estimate"]
@@ -82,8 +82,8 @@ def test_all_frames_are_analysed_in_the_background(drive, sensor):
     touching = before > 0.0
     assert touching.any() and np.all(area[touching] != before[touching])
     assert driver.solver.counts["estimate"] == solved
-    driver.seek(15)
-    assert area[15] == pytest.approx(driver.result.patch.area_m2, rel=0.05)
+    driver.seek(8)
+    assert area[8] == pytest.approx(driver.result.patch.area_m2, rel=0.05)
 
 
 class Repeated:
@@ -306,22 +306,6 @@ def test_statistics_of_a_range_and_values_at_cursor_and_mouse(drive):
     for name, light in (("dark", False), ("light", True)):
         driver.state.change(theme=name)
         assert (painted(graphics_view(panel))[3, -3].mean() > 127) == light
-
-
-def test_plots_open_with_two_rows_in_a_small_window(drive):
-    """Of the default plots two are side by side; further rows scroll."""
-    driver = drive(frame=5)
-    driver.resize(1016, 660)
-    driver.trigger("View › Plots")
-    driver.wait_until_shown()
-    shown = graphics_view(driver.window.plots).viewport()
-    assert shown.visibleRegion().boundingRect().height() == shown.height() > 200
-    for box in driver.window.plots.boxes.values():
-        if not box.isChecked():
-            box.trigger()
-    driver.wait_until_shown()
-    assert driver.size == (1016, 660)
-    assert shown.height() >= 2 * shown.visibleRegion().boundingRect().height()
 
 
 def test_plots_keep_their_height(drive):

@@ -231,10 +231,6 @@ def test_session_is_restored_after_a_kill(qtbot, files, tmp_path, eventually):
         assert (state.frame, state.markers, state.settings.kappa) == (6, (4,), 1.75)
         assert window.shortcuts.keys("View › Reset view") == "Ctrl+J"
         assert not window.message.label.text()
-    rec.unlink()
-    with window_session(load_sensor(files / "dome.toml"), None, None, None, lambda: file) as gone:
-        assert "press.mcap is missing" in gone.window.message.label.text()
-        assert gone.state.settings.kappa == 1.75 and gone.state.facts.title != "press.mcap"
 
 
 def test_closed_source_is_freed_from_memory(qtbot, files):

@@ -185,9 +185,11 @@ def test_session_of_a_temporarily_missing_recording_is_kept(qtbot, files, tmp_pa
     config, rec = tmp_path / "session.json", files / "press.mcap"
     with window_session(load_sensor(files / "dome.toml"), rec, 5, None, lambda: config) as session:
         session.state.set_markers((2, 9))
+        session.state.change(kappa=1.75)
     rec.rename(tmp_path / "away.mcap")
     with start(config) as session:
         assert "press.mcap is missing" in session.window.message.label.text()
+        assert session.state.settings.kappa == 1.75 and session.state.facts.title != "press.mcap"
     (tmp_path / "away.mcap").rename(rec)
     with start(config) as session:
         assert session.state.facts.frames == FRAMES and session.state.frame == 5

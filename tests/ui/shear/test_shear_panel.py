@@ -84,8 +84,7 @@ def test_contact_free_live_frames_are_the_reference(drive, rubber):
     shown(driver)
     panel, controller = driver.window.shear, driver.window.controller
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
-    for k in range(1, odd):
-        driver.seek(k)
+    driver.pass_by(range(1, odd))
     driver.wait(lambda: f"{COLLECTED - LAG} images without contact" in panel.reference.text())
     assert panel.reference.text().endswith("; colour camera: no pose")
     driver.seek(odd)
@@ -108,8 +107,7 @@ def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_p
     driver, _ = opened(drive, rubber, info=False)
     shown(driver)
     panel = driver.window.shear
-    for k in range(COLLECTED + 1):
-        driver.seek(k)
+    driver.pass_by(range(COLLECTED + 1))
     said = "Depth alone: colour camera: no intrinsics for colour images"
     driver.wait(lambda: panel.reference.text().startswith(said))
     assert driver.result.flow is None
@@ -140,8 +138,7 @@ def test_flow_image_is_shown_and_not_computed_while_hidden(drive, rubber):
     driver.wait(lambda: bool(driver.window.images.cells))
     cell = driver.window.images.cells["flow"]
     driver.wait(lambda: "images without contact: 1 of" in cell.text.replace("<br>", " "))
-    for k in range(2, COLLECTED + 2):
-        driver.seek(k)
+    driver.pass_by(range(2, COLLECTED + 2))
     driver.wait(lambda: cell.image is not None)
     driver.wait_until_shown()
     flow, width = driver.result.flow, rubber.camera.width

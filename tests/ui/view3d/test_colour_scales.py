@@ -11,13 +11,12 @@ from PySide6.QtCore import QPoint, Qt
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from window_driver import CTRL, Driver, hover, view_texts, vtk_props
 
-from bubbleviz_ui.engine.sensor_client import SAMPLED_FRAMES
 from bubbleviz_ui.export.exporting import KINDS
 
 
 @pytest.fixture
-def sampled_frames():
-    return SAMPLED_FRAMES
+def few_sampled_frames():
+    """As many as outside of tests."""
 
 
 class LongSource(DentSource):
