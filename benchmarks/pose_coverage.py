@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import PoseTracker, motion_between, moved, precision_of, symmetries
+from bubbleviz.pose import PoseTracker, motion_between, moved, precision_of
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose
 from bubbleviz.sensor import Sensor
@@ -146,7 +146,7 @@ class _Bench:
             )
             for seed in range(grid.seeds):
                 pose, times = self._tracked(model, truths, noise, seed, random)
-                rows.append(_row(base, pose, times, metrics, true, symmetries(model)))
+                rows.append(_row(base, pose, times, metrics, true))
         return rows
 
     def _tracked(
@@ -183,13 +183,13 @@ def _row(
     times: np.ndarray,
     metrics: PoseMetrics,
     true: TrueContact,
-    symmetric: np.ndarray,
 ) -> PoseRow:
     slow = float(np.quantile(times, 0.95))
     row = replace(base, status=pose.status, median_ms=float(np.median(times)), slow_ms=slow)
     if pose.status != "ok":
         return row
-    off = np.array([motion_between(pose.T_B_O, true.T_B_O @ S, pose.center_m) for S in symmetric])
+    equivalent = [true.T_B_O @ S for S in metrics.symmetries]
+    off = np.array([motion_between(pose.T_B_O, T, pose.center_m) for T in equivalent])
     distance2 = np.einsum("si,si->s", off, np.linalg.solve(pose.covariance, off.T).T).min()
     found = metrics.errors(pose.T_B_O, true)
     return replace(

@@ -14,10 +14,6 @@ from .motion import (
     rows as rows,
     way_at as way_at,
 )
-from .object_model import (
-    check_size as check_size,
-    symmetries as symmetries,
-)
 from .object_patch import (
     ObjectPatchFinder as ObjectPatchFinder,
 )
@@ -44,5 +40,6 @@ from .registration import (
 )
 from .tracker import (
     PoseTracker as PoseTracker,
+    check_size as check_size,
     precision_of as precision_of,
 )

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from bubbleviz.errors import InputError
 from bubbleviz.inverse import Estimator
-from bubbleviz.membrane import ObjectSurface, RubberMembrane
+from bubbleviz.membrane import MembraneMesh, ObjectSurface, RubberMembrane
 from bubbleviz.pose.dual_stage import InitialPoseFinder, Solution, Solver
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
-from bubbleviz.pose.object_model import check_size
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
@@ -25,6 +25,8 @@ _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a frame, few so that no frame waits for the search, and in a first one."""
 _FINALISTS_AT_FIRST = 2  # the best of these, which are refined
+_LARGEST = 20.0
+"""Size of an object relative to the bubble beyond which the units differ."""
 
 
 class PoseTracker:
@@ -145,3 +147,18 @@ class PoseTracker:
 def precision_of(estimator: Estimator) -> Precision:
     """Precision of the membrane's position by a sensor's estimator."""
     return Precision(estimator.information, estimator.resolution_m)
+
+
+def check_size(obj: RigidObject, mesh: MembraneMesh) -> None:
+    """Refuse an object that is in other units than the bubble.
+
+    Raises InputError.
+    """
+    size = float(np.ptp(obj.vertices, axis=0).max())
+    bubble = float(np.ptp(mesh.nodes, axis=0).max())
+    if size > _LARGEST * bubble:
+        raise InputError(
+            f"object {obj.name}: {size:.4g} m long, {size / bubble:.0f} times the bubble; crop or "
+            "scale the mesh or, if it is in millimetres, end the file's name in _mm (or set its "
+            "unit: Pose panel, pose --unit mm)"
+        )

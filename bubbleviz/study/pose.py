@@ -24,7 +24,6 @@ from bubbleviz.pose import (
     moved,
     precision_of,
     rows,
-    symmetries,
 )
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Sensor
@@ -50,6 +49,7 @@ from bubbleviz.study.harness import (
     groups,
     summaries,
 )
+from bubbleviz.study.symmetries import symmetries
 
 # Pose error over the directions of motion that the true contact determines, modulo symmetry.
 #
@@ -93,7 +93,7 @@ class PoseMetrics:
 
     def __init__(self, model: ObjectSurface, precision: Precision) -> None:
         self._model, self._precision = model, precision
-        self._symmetries = symmetries(model)
+        self.symmetries = symmetries(model)
 
     def touching(
         self, mesh: MembraneMesh, displacement_m: np.ndarray, pressure_pa: np.ndarray, T: np.ndarray
@@ -112,7 +112,7 @@ class PoseMetrics:
 
     def errors(self, T_B_O: np.ndarray, true: TrueContact) -> PoseErrors:
         """Errors of a pose (4, 4), relative to the closest symmetric equivalent of the true one."""
-        candidates = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self._symmetries]
+        candidates = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self.symmetries]
         arm = np.array([1.0, 1.0, 1.0, *3 * [true.radius_m]])
         found = true.directions
         basis = (arm[:, None] * found.motions)[:, found.determined]
