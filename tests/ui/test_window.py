@@ -23,6 +23,7 @@ from window_driver import CONTACT, LEFT, text_actors
 
 import bubbleviz
 from bubbleviz_ui.model.demand import STAGES
+from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
@@ -326,11 +327,70 @@ def seen(widget):
     return widget.visibleRegion().boundingRect().height()
 
 
+def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive):
+    """As in a window of 1024×700 pixels at 150 %, minus the frame, with the first-run hint."""
+    driver = drive(DentSource, frame=6)
+    window, panels = driver.window, driver.window.panels
+    window.hint.show()
+    window.resize(850, 427)
+    driver.wait(lambda: window.minimumSize().width() <= 675)
+    driver.resize(675, 427)
+    opened = "shear", "plots", "images", "threshold", "pose", "calibration", "compare", "tools"
+    for name in opened:
+        driver.show(name)
+        driver.wait(lambda name=name: seen(panels[name].widget()) > 60)
+        driver.wait_until_shown()
+        assert driver.size == (675, 427)
+        bottom = panels[name].y() if name in ("plots", "images") else 427
+        assert window.view.mapTo(window, window.view.rect().bottomLeft()).y() < bottom
+    for name in opened[3:]:
+        panels[name].hide()
+    driver.resize(1400, 900)
+    tabs = window.tabifiedDockWidgets
+    driver.wait(lambda: all(seen(panels[name]) > 90 for name in ("layers", "shear", "playback")))
+    assert tabs(panels["shear"]) == [panels["kappa"]]
+    assert panels["layers"].y() < panels["shear"].y()
+    assert tabs(panels["plots"]) == [panels["images"]]
+    assert panels["images"].y() < panels["playback"].y() and not tabs(panels["playback"])
+    assert seen(window.view) > 300
+    # tabs that the operator made stay
+    window.tabifyDockWidget(panels["layers"], panels["shear"])
+    driver.resize(1390, 890)
+    assert panels["shear"] in tabs(panels["layers"])
+
+
 def right_end(driver, text):
     """Right end of a text of the 3-D view, pixels."""
     box, renderer = [0.0] * 4, driver.window.view.renderer
     text.GetBoundingBox(renderer, box)
     return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]
+
+
+def test_readout_leaves_most_of_a_low_view_free(drive):
+    driver = drive(frame=CONTACT)
+    window = driver.window
+    window.resize(850, 427)
+    driver.wait(lambda: window.minimumSize().width() <= 675)
+    driver.resize(675, 427)
+    driver.show("plots", "pose")
+    driver.wait_until_shown()
+    window.messages.add(UserMessage("warning", 20 * "long message "))
+    driver.wait(lambda: window.view.height() < 180)
+    driver.wait_until_shown()
+    headline, *others = text_actors(driver)
+    assert headline.GetInput().startswith("contact")
+    assert 3 * text_bottom(driver, headline) < window.view.height()
+    assert not any(text.GetInput().startswith("peak") for text in others)
+    driver.click(window.message.dismiss)
+    driver.wait(lambda: any(t.GetInput().startswith("peak") for t in text_actors(driver)))
+
+
+def text_bottom(driver, text):
+    """Distance of the lower end of a text of the 3-D view from the top, pixels."""
+    box, renderer = [0.0] * 4, driver.window.view.renderer
+    text.GetBoundingBox(renderer, box)
+    position = text.GetPositionCoordinate().GetComputedViewportValue(renderer)
+    return driver.window.view.height() - position[1] - box[2]
 
 
 CONTROLS = (QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox)

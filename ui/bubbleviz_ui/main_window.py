@@ -63,7 +63,7 @@ from bubbleviz_ui.session_files.session_saver import SessionSaver
 from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.command_palette import CommandPalette
-from bubbleviz_ui.shell.dock import Dock, OpenPanels, column, fill, make_tabs, scrolled
+from bubbleviz_ui.shell.dock import Dock, OpenPanels, TabsForRoom, column, fill, scrolled
 from bubbleviz_ui.shell.file_dialogs import (
     SENSOR_FILES,
     file_to_open,
@@ -327,6 +327,7 @@ class MainWindow(QMainWindow):
         super().resizeEvent(event)
         self._share_width()
         self._restore_heights()
+        self._part_tabs()
 
     def event(self, event: QEvent) -> bool:
         """Fit docks whose contents changed; keep heights that were dragged."""
@@ -343,17 +344,30 @@ class MainWindow(QMainWindow):
         for dock in self._docks.values():
             dock.learn_height()
             if dock.too_low:
-                make_tabs(self, dock)
+                self._make_tabs(dock)
         for side in SIDES.values():
             shown = column(self, side)
             if self.minimumSizeHint().height() > self.height() and shown:
-                make_tabs(self, max(shown, key=lambda dock: dock.opened_s))
+                self._make_tabs(max(shown, key=lambda dock: dock.opened_s))
+        self._part_tabs()
         tabs = self.tabifiedDockWidgets(self._docks["playback"])
         policy = QSizePolicy.Policy.Preferred
         fixed = all(dock.isHidden() for dock in tabs)  # else the others would be as low
         self.playback.setSizePolicy(policy, QSizePolicy.Policy.Fixed if fixed else policy)
         room = self.screen().availableSize() - FRAME
         self.setMinimumSize(self.minimumSizeHint().boundedTo(room))
+
+    def _make_tabs(self, front: Dock) -> None:
+        """Make tabs at the side of a dock; the first-run hint gives way, too."""
+        self._tabs.make(front)
+        self.hint.hide()
+        self._centre.updateGeometry()
+
+    def _part_tabs(self) -> None:
+        """Undo the tabs of `_fit` where there is room."""
+        for name, side in SIDES.items():
+            spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
+            self._tabs.part(side, spare)
 
     def _restore_heights(self) -> None:
         for dock in self._docks.values():
@@ -368,9 +382,9 @@ class MainWindow(QMainWindow):
         self.view.dropEvent(event)
 
     def _lay_out(self) -> None:
-        centre = QWidget()
+        self._centre = QWidget()
         fill(
-            QVBoxLayout(centre),
+            QVBoxLayout(self._centre),
             self.message,
             self.busy,
             self.hint,
@@ -379,7 +393,7 @@ class MainWindow(QMainWindow):
             margins=(0, 0, 0, 0),
             spacing=0,
         )
-        self.setCentralWidget(centre)
+        self.setCentralWidget(self._centre)
         self.setStatusBar(self.status)
         watch_controls(self.live)
         self.panels = self._make_docks()
@@ -411,6 +425,7 @@ class MainWindow(QMainWindow):
             self.addDockWidget(SIDES[kind.side or "right"], dock)
             if kind.tab_of:
                 dock.tab_of(docks[kind.tab_of])
+                dock.maximise_height()
             if not kind.by_default:
                 dock.hide()
             if kind.settings_name:
@@ -420,12 +435,10 @@ class MainWindow(QMainWindow):
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
         docks["plots"].open_at_hint_height()
         docks["images"].open_at_hint_height()
-        docks["calibration"].maximise_height()
-        docks["compare"].maximise_height()
         docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
-        self._docks = docks
+        self._docks, self._tabs = docks, TabsForRoom(self, list(docks.values()))
         return {**docks, "status": self.status}
 
     def _share_width(self) -> None:

@@ -20,7 +20,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button
-from bubbleviz_ui.panels.plot_host import HEADING, Part, PlotHost
+from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Part, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.theme import NODE
@@ -240,6 +240,7 @@ class ImagesPanel(QWidget):
         BarLayout(header, text, self.choose, margins=(0, 0, 0, 0))
         fill(QVBoxLayout(self), header, (self._host, 1), margins=(8, 4, 8, 4), spacing=4)
         self.setMinimumWidth(LEAST_WIDTH)
+        self._host.setMinimumHeight(LEAST_HEIGHT)
 
     # -- events -------------------------------------------------------------------------------
 

@@ -9,6 +9,9 @@ from PySide6.QtCore import QEvent, Signal
 from PySide6.QtGui import QColor, QPalette, QShowEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
+LEAST_HEIGHT = 40
+"""Height of plots and images while bars and other panels take their room, screen pixels."""
+
 
 class Part(Protocol):
     """A plot or an image."""

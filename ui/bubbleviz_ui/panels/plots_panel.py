@@ -13,7 +13,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
-from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell.dock import fill, scrolled
@@ -25,8 +25,6 @@ EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
 """Smallest width and height of a plot, screen pixels."""
-LEAST_HEIGHT = 40
-"""Height of the plots while bars with messages take their room, screen pixels."""
 LIVE_WINDOW_S = 20.0
 """Time span shown of a live source."""
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, Signal
@@ -34,12 +34,16 @@ class Dock(QDockWidget):
     Qt would draw tabs of docks that were never shown.
     """
 
-    _neighbour: QDockWidget | None = None
+    placed = False  # Not opened yet: as a tab of `home`
     _narrower_than: int | None = None
     _above_hint: int | None = 0
     _sized = _maximises = _opened = False
     _hint = 0
     opened_s = 0.0  # When it was opened last, by a monotonic clock
+
+    def __init__(self, title: str, window: QMainWindow) -> None:
+        super().__init__(title, window)
+        self.home = self
 
     def open_at_hint_height(self) -> None:
         """Have the height of the panel's size hint, more or less what the operator dragged."""
@@ -49,12 +53,12 @@ class Dock(QDockWidget):
         """When opened, take the height that other docks of its side do not need, or be a tab."""
         self._maximises = True
 
-    def tab_of(self, neighbour: QDockWidget, narrower_than: int | None = None) -> None:
+    def tab_of(self, home: Dock, narrower_than: int | None = None) -> None:
         """Open as a tab of another dock the first time.
 
         `narrower_than`: Only if the window is narrower than this, screen pixels.
         """
-        self._neighbour, self._narrower_than = neighbour, narrower_than
+        self.home, self._narrower_than = home, narrower_than
 
     def setVisible(self, visible: bool) -> None:
         """Show or hide; open in front of its tabs."""
@@ -62,10 +66,11 @@ class Dock(QDockWidget):
         if not (opened and isinstance(window, QMainWindow)):
             super().setVisible(visible)
             return
-        self._opened, self.opened_s = True, time.monotonic()
-        if self._neighbour is not None and window.width() < (self._narrower_than or math.inf):
-            window.tabifyDockWidget(self._neighbour, self)
-        self._neighbour = None
+        narrow = window.width() < (self._narrower_than or math.inf)
+        if self.home is not self and narrow and not self.placed:
+            window.tabifyDockWidget(self.home, self)
+        self._opened = self.placed = True
+        self.opened_s = time.monotonic()
         super().setVisible(visible)
         self.raise_()
         self.restore_height()
@@ -76,11 +81,16 @@ class Dock(QDockWidget):
             window.resizeDocks([self, *others], heights, Qt.Orientation.Vertical)
 
     @property
+    def needed(self) -> int:
+        """Least height in which it is usable, screen pixels."""
+        usable = USABLE * self.sizeHint().height() if self._sized or self._maximises else 0.0
+        return max(math.ceil(usable), self.minimumSizeHint().height())
+
+    @property
     def too_low(self) -> bool:
         """Whether it was opened since this was asked last, and got too little height."""
         opened, self._opened = self._opened and self._in_front, False
-        sized = self._sized or self._maximises
-        return opened and sized and self.height() < USABLE * self.sizeHint().height()
+        return opened and self.height() < self.needed
 
     def event(self, event: QEvent) -> bool:
         """Follow the size hint of the panel."""
@@ -122,18 +132,62 @@ class Dock(QDockWidget):
 
 def column(window: QMainWindow, side: Qt.DockWidgetArea) -> list[Dock]:
     """The docks shown at a side of the window, also behind tabs."""
-    docks = [dock for dock in window.findChildren(QDockWidget) if isinstance(dock, Dock)]
-    at_side = [dock for dock in docks if window.dockWidgetArea(dock) == side]
+    at_side = [dock for dock in window.findChildren(Dock) if window.dockWidgetArea(dock) == side]
     return [dock for dock in at_side if not (dock.isHidden() or dock.isFloating())]
 
 
-def make_tabs(window: QMainWindow, front: Dock) -> None:
-    """Make tabs of all docks at the side of the front one."""
-    first, *others = column(window, window.dockWidgetArea(front))
-    for dock in others:
-        window.tabifyDockWidget(first, dock)
-    front.raise_()
-    front.take_height()
+class TabsForRoom:
+    """Makes tabs of all docks of a side of the window; they come apart when there is room again."""
+
+    def __init__(self, window: QMainWindow, docks: Sequence[Dock]) -> None:
+        self._window, self._docks = window, docks
+        self._made = set[Qt.DockWidgetArea]()
+
+    def make(self, front: Dock) -> None:
+        """Make tabs of all docks at the side of the front one."""
+        side = self._window.dockWidgetArea(front)
+        first, *others = column(self._window, side)
+        for dock in others:
+            self._window.tabifyDockWidget(first, dock)
+        for dock in self._at(side):
+            dock.placed = not dock.isHidden()
+        front.raise_()
+        front.take_height()
+        self._made.add(side)
+
+    def part(self, side: Qt.DockWidgetArea, more: int) -> None:
+        """Place docks that `make` placed as in a new window, if there is room.
+
+        `more`: Height that the 3-D view can give, screen pixels.
+        """
+        shown = column(self._window, side)
+        if side not in self._made or not shown:
+            return
+        if len(self._window.tabifiedDockWidgets(shown[0])) + 1 < len(shown):
+            self._made.remove(side)  # arranged by the operator
+            return
+        needed = dict[Dock, int]()
+        for dock in shown:
+            needed[dock.home] = max(needed.get(dock.home, 0), dock.needed)
+        front = next((dock for dock in shown if not dock.visibleRegion().isEmpty()), shown[0])
+        if len(needed) > 1 and sum(needed.values()) <= front.height() + more:
+            self._made.remove(side)
+            for dock in self._at(side):
+                if dock.home is dock:
+                    self._window.addDockWidget(side, dock, Qt.Orientation.Vertical)
+                elif dock.isHidden():
+                    dock.placed = False
+                else:
+                    self._window.tabifyDockWidget(dock.home, dock)
+            front.raise_()
+            for dock in shown:
+                dock.restore_height()
+
+    def _at(self, side: Qt.DockWidgetArea) -> list[Dock]:
+        """Docks at a side, also hidden ones, those that others are tabs of first."""
+        docks = [dock for dock in self._docks if not dock.isFloating()]
+        at_side = [dock for dock in docks if self._window.dockWidgetArea(dock) == side]
+        return sorted(at_side, key=lambda dock: dock.home is not dock)
 
 
 def scrolled(panel: QWidget) -> QScrollArea:
@@ -279,16 +333,21 @@ class BarLayout(QLayout):
         return self._with_margins(QSize(width, max((hint.height() for hint in hints), default=0)))
 
     def minimumSize(self) -> QSize:
-        """Width of the widest item, and height of one row."""
+        """Width of the widest item, and height of all rows at the present width."""
         least = QSize()
         for item in self._shown():
             least = least.expandedTo(item.minimumSize())
-        return self._with_margins(least)
+        least = self._with_margins(least)
+        width = self.geometry().width()
+        return QSize(least.width(), self.heightForWidth(width) if width else least.height())
 
     def setGeometry(self, area: QRect) -> None:
         """Place all items."""
+        bar, resized = self.parentWidget(), area.width() != self.geometry().width()
         super().setGeometry(area)
         self._place(area, move=True)
+        if bar is not None and resized:  # may need another number of rows
+            bar.updateGeometry()
 
     def _shown(self) -> list[QLayoutItem]:
         return [item for item in self._items if not item.isEmpty()]

@@ -325,6 +325,8 @@ HEAD, REST = 26, 15  # px, fonts of headline and details
 TOP, BELOW = 14, 36  # px, top margin, and distance of the details from it
 SMALLEST, TALL = 0.75, 400
 """Smallest scale of these sizes in a low view, and view height of full size, px."""
+MOST = 1 / 3
+"""Share of the view's height above which the details are left out: the panels have them, too."""
 SEPARATOR = "   "
 """Between details, which are wrapped there."""
 HATCHED = "hatched: pressure without evidence of contact, not in the force"
@@ -361,7 +363,7 @@ class ReadoutLayer(Layer):
             actor.GetTextProperty().SetOpacity(OUTDATED_OPACITY if outdated else 1.0)
 
     def _fit(self) -> None:
-        """Fit the text left of the colour bars: smaller headline, wrapped details."""
+        """Fit the text left of the colour bars: smaller headline, wrapped details or none."""
         height = self.canvas.view.size_px[1]
         share = min(1.0, max(SMALLEST, height / TALL))
         head, rest, top = share * HEAD, share * REST, 1.0 - share * TOP / height
@@ -375,6 +377,9 @@ class ReadoutLayer(Layer):
         if self._width_ratio(self._rest) < 1.0:
             lines = self._details.replace("\n", SEPARATOR).split(SEPARATOR)
             self._rest.SetInput("\n".join(map(self._wrapped, lines)))
+        tall = share * (TOP + BELOW) + self._size_px(self._rest)[1]
+        if tall > MOST * height and not self._alarm.GetInput():  # whose details are the reason
+            self._rest.SetInput("")
 
     def _wrapped(self, line: str) -> str:
         """Wrap a line to the available width."""
@@ -384,10 +389,13 @@ class ReadoutLayer(Layer):
 
     def _width_ratio(self, text: Any) -> float:
         """Width left of the colour bars over the width of a text."""
+        width = self.canvas.view.size_px[0]
+        return width * (left_of_bars(width) - LEFT) / max(self._size_px(text)[0], 1.0)
+
+    def _size_px(self, text: Any) -> tuple[float, float]:
         view, box = self.canvas.view, [0.0] * 4
         text.GetBoundingBox(view.renderer, box)
-        width = view.size_px[0]
-        return width * (left_of_bars(width) - LEFT) * view.pixel_ratio / max(box[1] - box[0], 1.0)
+        return (box[1] - box[0]) / view.pixel_ratio, (box[3] - box[2]) / view.pixel_ratio
 
 
 def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
