@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fakes import DentSource, SpeckledSource, record, small_sensor
-from window_driver import clipboard_text, drawn_points
+from fakes import FIRST_CONTACT, DentSource, SpeckledSource, record, small_sensor
+from window_driver import clipboard_text, drawn_points, view_texts
 
 from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.recordings import LAG
@@ -154,6 +154,36 @@ def test_flow_image_is_shown_and_not_computed_while_hidden(drive, rubber):
     before = driver.pipeline.counts["flow"], source.decoded
     driver.seek(3)
     assert (driver.pipeline.counts["flow"], source.decoded) == before
+
+
+class PressedSpeckles(SpeckledSource):
+    """With contact in the last frame."""
+
+    def __getitem__(self, index):
+        frame = super().__getitem__(index)
+        if index < len(self) - 1:
+            return frame
+        return replace(frame, depth_m=DentSource.__getitem__(self, FIRST_CONTACT + 4).depth_m)
+
+
+def test_use_of_colour_is_said_beside_the_force_and_in_compare(drive, rubber):
+    pytest.importorskip("cv2")
+    source = PressedSpeckles(rubber)
+    driver = drive(open_source=lambda _: source, sensor=rubber)
+    panel, layers = driver.window.compare, driver.state.settings.layers
+    driver.state.change(layers=layers | {"traction"})
+    for k in (*range(COLLECTED + 1), len(source) - 1):
+        driver.seek(k)
+    details = lambda: next(t for t in view_texts(driver) if t.startswith("peak"))  # noqa: E731
+    assert "by depth and colour" in details()
+    driver.show("compare")
+    driver.wait(lambda: panel.a.values["status"].text() == "ok")
+    assert panel.hint.text().startswith("A and B are solved by depth alone")
+    driver.choose(layers=layers)
+    driver.seek(0)
+    driver.seek(len(source) - 1)
+    assert "colour" not in details()
+    driver.wait(lambda: "colour" not in panel.hint.text())
 
 
 def dragged(driver, status="ok"):

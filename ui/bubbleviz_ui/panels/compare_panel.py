@@ -42,6 +42,8 @@ if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import AlignedRun
 
 NOT_MEASURED = None, None
+NEEDS_TRUTH = "Force error and patch IoU need the ground truth of a simulation."
+DEPTH_ALONE = "A and B are solved by depth alone; the frame shown uses its colour image, too."
 ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
@@ -337,9 +339,7 @@ class ComparePanel(QWidget):
             each.used.setToolTip(tip)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
-        self.hint = QLabel(
-            "Force error and patch IoU need the ground truth of a simulation.", wordWrap=True
-        )
+        self.hint = QLabel(NEEDS_TRUTH, wordWrap=True)
         self.hint.setObjectName("dim")
         parts = (grid, self.outlines, self.hint, self.other, 1)
         fill(QVBoxLayout(self), *parts, margins=(6, 8, 2, 8))
@@ -399,5 +399,8 @@ class ComparePanel(QWidget):
             self.measured.emit(self._measured)
 
     def _show(self) -> None:
+        result = self._controller.result
+        colour = result is not None and result.estimate is not None and result.estimate.flow
+        self.hint.setText(f"{DEPTH_ALONE}\n{NEEDS_TRUTH}" if colour else NEEDS_TRUTH)
         for column, one in zip((self.a, self.b), self._measured, strict=True):
             column.show_measured(one, self._state.units)

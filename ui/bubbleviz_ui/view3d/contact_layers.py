@@ -417,6 +417,8 @@ def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
     parts = [f"peak {peak}", f"friction {friction}", patches]
     if friction == DASH:
         del parts[1]
+    if estimate.flow is not None:
+        parts.append("by depth and colour")
     unexplained = estimate.unexplained_pressure_pa
     hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
     force = force_text(result, units, final=final)
