@@ -26,7 +26,6 @@ from .friction import (
     friction_loads as friction_loads,
 )
 from .gauss_newton import (
-    MODEL_ERROR as MODEL_ERROR,
     GaussNewton as GaussNewton,
 )
 from .measurements import (
@@ -62,4 +61,7 @@ from .response import (
     ConstantTension as ConstantTension,
     LinearisedRubber as LinearisedRubber,
     RubberBubble as RubberBubble,
+)
+from .wrench_covariance import (
+    MODEL_ERROR as MODEL_ERROR,
 )

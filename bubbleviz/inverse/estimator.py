@@ -11,12 +11,8 @@ from bubbleviz.camera import MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import smoothness
 from bubbleviz.inverse.friction import FRICTION
-from bubbleviz.inverse.gauss_newton import (
-    IMAGE_ERROR,
-    GaussNewton,
-    SolvedFrame,
-    Start,
-)
+from bubbleviz.inverse.gauss_newton import IMAGE_ERROR, GaussNewton
+from bubbleviz.inverse.iteration import Iteration, SolvedFrame, Start, is_untouched
 from bubbleviz.inverse.measurements import FrameData
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
@@ -210,7 +206,7 @@ class Estimator:
             return no_estimate(self.mesh, "implausible", beyond), Start()
         data = FrameData(self.observer.measure(depth_m), gas, flow)
         try:
-            answer = newton.solve(data, start)
+            answer = Iteration(newton, data, start).solve()
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = "not_converged"
         if isinstance(answer, str):
@@ -226,7 +222,7 @@ class Estimator:
     def is_untouched(self, depth_m: np.ndarray) -> bool:
         """Whether an image (H, W), without the gas pressure, is explained without contact."""
         try:
-            return self._newton.is_untouched(self.observer.measure(depth_m))
+            return is_untouched(self._newton, self.observer.measure(depth_m))
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             return False
 

@@ -5,19 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from bubbleviz.camera import Measured, MeasuredFlow, Observation, ShapeRanges
-
-
-class Noise(NamedTuple):
-    """Noise factors: σ of the residual over that of the noise; `flow` is 0 until it is known."""
-
-    ranges: float
-    flow: float = 0.0
+from bubbleviz.inverse.noise import Noise
 
 
 @dataclass(frozen=True)

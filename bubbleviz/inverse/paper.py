@@ -19,7 +19,7 @@ from scipy import sparse
 from bubbleviz.camera import MeasuredFlow, RangeObserver
 from bubbleviz.inverse.contact_problem import ContactProblem, Prior
 from bubbleviz.inverse.estimator import PAPER, Estimator, EstimatorOptions, no_estimate
-from bubbleviz.inverse.gauss_newton import MINIMUM_BLOCKS, Start
+from bubbleviz.inverse.iteration import MINIMUM_BLOCKS, Start
 from bubbleviz.inverse.measurements import Measurements, Nuisances
 from bubbleviz.inverse.plausibility import STATUS_REASONS, reason_against_fit, reason_against_gas
 from bubbleviz.inverse.response import ConstantTension

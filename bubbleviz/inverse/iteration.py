@@ -1,0 +1,380 @@
+"""One frame: Gauss–Newton steps until shape, contact pressure and noise agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bubbleviz.camera import Measured, Misfit, ShapeRanges
+from bubbleviz.inverse.contact_problem import significant_contact
+from bubbleviz.inverse.friction import contacts_seen_by_flow
+from bubbleviz.inverse.gauss_newton import (
+    LARGE_MOTION,
+    MAX_STEP,
+    TANGENT_REUSE,
+    GaussNewton,
+    State,
+    Step,
+    contact_blocks,
+)
+from bubbleviz.inverse.measurements import FlowResidual, FrameData, LinearisedFrame
+from bubbleviz.inverse.noise import AS_EXPECTED, Noise, noise_converged
+from bubbleviz.inverse.plausibility import IMPLAUSIBLE_MISFIT, IMPLAUSIBLE_SHARE
+from bubbleviz.inverse.response import Tangent
+from bubbleviz.inverse.wrench_covariance import change_by, unit_wrenches, wrench_covariance
+from bubbleviz.result import FlowFit, Status
+
+_CONVERGED_MOTION = 0.05
+"""Motion of the nodes over the mesh edge. A frame has converged when a step moves it by less, or
+the first step from a warm start by less than `TANGENT_REUSE`."""
+_SETTLED_MOTION, _MAX_SETTLING = 0.02, 2
+"""Steps are repeated until one moves the nodes by less than this, at most `_MAX_SETTLING` more once
+below `_CONVERGED_MOTION`, as they do not always shrink. On the real press the area of a frame then
+differs by 3 instead of 7 % between ways of reaching it (nine of ten cases)."""
+_MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
+"""Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
+`MAX_STEP`: a frame that has not converged by then contradicts the model."""
+_MAX_STALLED, _STALLED_SHARE = 3, 0.72
+"""Consecutive large steps that leave more than this share of the smallest χ² so far, after which a
+frame counts as failed. Steps of the largest length towards a contact reduce χ² more than this. Of
+the converged frames of the real press, of rubber dragged and twisted by another solver, and of
+presses of six objects, one (a plane 29 mm deep across a dome) had two such steps in a row, all
+others one at most. A plate that presses 40 of 50 mm into a dome is refused by this. Images of no
+membrane took up to 15 such steps, of 0.3 s each."""
+_MAX_SELECTIONS, _SELECTION_ROUNDS = 2, 6
+"""Selections of the support at a converged shape, and how often each may add nodes with a negative
+gradient."""
+MINIMUM_BLOCKS = 3
+"""Blocks that a plane needs: with fewer, a dent cannot be distinguished from a shift of the
+sensor."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """What `Estimator.estimate` hands from one frame to the next.
+
+    Attributes
+    ----------
+    state : State or None
+        None: the frame had no contact, or was not solved.
+    tangent : Tangent or None
+        Last tangent used.
+    noise : Noise
+        Noise factors of the frame, a first guess for the next one.
+    view : ShapeRanges or None
+        Camera model at the last shape at which it was computed.
+    """
+
+    state: State | None = None
+    tangent: Tangent | None = None
+    noise: Noise = AS_EXPECTED
+    view: ShapeRanges | None = None
+
+
+@dataclass(frozen=True)
+class SolvedFrame:
+    """A solved frame.
+
+    Attributes
+    ----------
+    step : Step
+        The last one.
+    view : ShapeRanges
+        Camera model at the last shape at which it was computed.
+    noise : float
+        Noise factor: σ of the residual over that of the camera's noise.
+    misfit : Misfit
+    contradicts_gas : bool
+        Whether its shape contradicts the measured p_v.
+    contact : (n,) bool array
+        Nodes under significant contact pressure, see `significant_contact`.
+    wrench_covariance : (6, 6) array
+        Of its force, N, and its torque about the origin of B, N·m.
+    visible_share : float
+        Share of the contact area visible to the camera; NaN without contact.
+    flow : FlowFit or None
+        None where flow saw no contact.
+    solve_ms : float
+        Of all steps.
+    """
+
+    step: Step
+    view: ShapeRanges
+    noise: Noise
+    misfit: Misfit
+    contradicts_gas: bool
+    contact: np.ndarray
+    wrench_covariance: np.ndarray
+    visible_share: float
+    flow: FlowFit | None
+    solve_ms: float
+
+
+class Iteration:
+    """Estimate of the shape and contact pressure of a frame by Gauss–Newton steps.
+
+    1. Observe: model the image at the present shape and linearise the model there. Restart
+       from rest if the rest shape fits the image better than the warm start does; give up if
+       the image cannot be of this membrane, if the shape leaves its surroundings (`length_m`),
+       or if large steps hardly reduce the misfit.
+    2. Step: solve for contact pressure and nuisances, on a support that is selected anew as
+       long as steps are large, and after a first guess of the noise factor. After a small step
+       the support is kept, as the solution could alternate between two supports for ever.
+       Errors of the whole image are fitted only near the solution, where they cannot explain
+       errors of the linearisation. Optical flow counts only there, and only with a contact: no
+       unknown but friction explains motion along the membrane.
+    3. Once the shape has converged, select the support again, until it is complete.
+    4. Update the noise factor, by which the image is weighted, from the residual of each step
+       to an equilibrium; repeat from 1 until noise and solution agree, so that the result does
+       not depend on the frames before. Whether there is contact is decided with at least the
+       noise of the sensor. Without a warm start the first step to an equilibrium gives a first
+       guess of the factor, unless it contradicts a measured gas pressure; until then, only the
+       nodes with the steepest gradient are selected.
+
+    Parameters
+    ----------
+    newton : GaussNewton
+    data : FrameData
+    start : Start
+    """
+
+    def __init__(self, newton: GaussNewton, data: FrameData, start: Start) -> None:
+        self._newton, self._data = newton, data
+        edge = newton.mesh.edge_length
+        self._converged_m, self._settled_m = _CONVERGED_MOTION * edge, _SETTLED_MOTION * edge
+        self._reuse_m, self._large_m = TANGENT_REUSE * edge, LARGE_MOTION * edge
+        self._cut_m = 0.9 * MAX_STEP * edge
+        self._warm = start.state is not None
+        self._state, self._view = start.state or newton.rest, start.view
+        self._tangent = start.tangent
+        self._noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
+        self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
+        self._near = self._warm  # the errors of the linearisation are small
+        self._following = self._observe(by_flow=True) if self._warm else None
+        self._image_shows_rest = self._following is None or newton.shows_rest(
+            self._following, self._state.pressure
+        )
+        self._selecting, self._selections = True, 0
+        self._steps = self._large_steps = self._stalled = self._settling = 0
+        self._best_misfit, self._large, self._solve_ms = np.inf, False, 0.0
+
+    def solve(self) -> SolvedFrame | Status:
+        """Solution of the frame, or why there is none.
+
+        Raises
+        ------
+        RuntimeError, LinAlgError
+            A singular tangent, or Hessian.
+        """
+        newton, data = self._newton, self._data
+        while self._steps < _MAX_STEPS and self._stalled < _MAX_STALLED:
+            self._steps += 1
+            observed = self._observed()
+            if np.abs(self._state.x - newton.mesh.nodes).max() > newton.length_m:
+                break
+            first = self._warm and self._steps == 1 and not self._noises
+            if first and self._restarts_from_rest(observed):
+                return Iteration(newton, data, Start()).solve()
+            if failure := _reject_image(newton, observed, self._state):
+                return failure
+            at_rest = self._state is newton.rest
+            no_contact = at_rest and newton.fits_without_contact(observed, data.gas_pa)
+            self._near = self._near or no_contact
+            rounds = _SELECTION_ROUNDS if self._noise_known else 1
+            rounds *= self._selecting and not no_contact
+            fit_image = self._near and self._image_shows_rest
+            step = newton.step(
+                self._tangent, self._state, observed, data.gas_pa, self._noise, rounds, fit_image
+            )
+            if step is None:
+                break
+            self._take(step, observed)
+            converged = self._has_converged(step, observed, first, fit_image)
+            searched = rounds > 0 or no_contact or bool(step.contact.pressure.any())
+            if self._noise_agrees(step, observed, converged, searched):
+                return self._result(step, observed)
+            if not converged and self._large_steps == _MAX_LARGE_STEPS:
+                break
+        implausible = self._stalled == _MAX_STALLED or self._noise.ranges > IMPLAUSIBLE_MISFIT
+        return "implausible" if implausible else "not_converged"
+
+    @property
+    def _noise_known(self) -> bool:
+        """Whether the noise factor is more than a guess: only the steepest nodes count before."""
+        return self._warm or bool(self._noises)
+
+    def _observe(self, *, by_flow: bool) -> LinearisedFrame:
+        return self._newton.observe(self._data, self._state, self._view, by_flow)
+
+    def _observed(self) -> LinearisedFrame:
+        """The frame at the present shape. Counts the large steps that hardly reduced the misfit."""
+        by_flow = self._near and bool(self._state.pressure.any())
+        observed = self._following or self._observe(by_flow=by_flow)
+        self._following = None
+        if observed.flow is not None and not self._noise.flow:
+            # Friction has not explained any of it yet: steps with too small a factor diverge.
+            factor = observed.flow.noise_factor(np.zeros_like(self._state.x))
+            self._noise = self._noise.with_flow(factor)
+        misfit = observed.misfit(observed.error_m)
+        poor = self._large and misfit >= _STALLED_SHARE * self._best_misfit
+        self._stalled = self._stalled + 1 if poor else 0
+        self._best_misfit = min(self._best_misfit, misfit)
+        return observed
+
+    def _restarts_from_rest(self, observed: LinearisedFrame) -> bool:
+        """Whether a frame should be solved from rest instead of its warm start."""
+        newton, data = self._newton, self._data
+        # With a noise factor below 1 a contact could persist that the sensor's own noise explains.
+        if self._noise.ranges < 1.0:
+            at_rest = newton.observe(data, newton.rest, None)
+            if newton.fits_without_contact(at_rest, data.gas_pa):
+                return True
+        return observed.fits_rest_better(observed.error_m)
+
+    def _take(self, step: Step, observed: LinearisedFrame) -> None:
+        self._state, self._view, self._tangent = step.state, observed.view, step.last_tangent
+        self._solve_ms += step.solve_ms
+        self._large = step.motion_m > self._large_m
+        self._large_steps += self._selecting and self._large and step.motion_m < self._cut_m
+
+    def _has_converged(
+        self, step: Step, observed: LinearisedFrame, first: bool, fit_image: bool
+    ) -> bool:
+        """Whether a step was the last one needed, at this support and noise."""
+        motion, newton = step.normal_motion_m, self._newton
+        converged = self._near and step.balanced and motion <= self._converged_m
+        self._settling = self._settling + 1 if converged else 0
+        converged = converged and (motion <= self._settled_m or self._settling > _MAX_SETTLING)
+        self._near = self._near or not self._large
+        if self._near and self._image_shows_rest:
+            self._image_shows_rest = newton.shows_rest(observed, step.contact.pressure)
+        if first and step.balanced and self._settled_m < motion <= self._reuse_m:
+            self._following = self._observe(by_flow=True)
+            converged = _was_linear(newton, step, observed, self._following)
+        converged = converged and fit_image == (self._near and self._image_shows_rest)
+        if self._data.flow is not None and observed.flow is None:
+            converged = converged and not step.contact.pressure.any()
+        return converged
+
+    def _noise_agrees(
+        self, step: Step, observed: LinearisedFrame, converged: bool, searched: bool
+    ) -> bool:
+        """Whether the noise that was assumed is that of the residual; else sets the next step.
+
+        `searched`: contact was searched for, or there is some.
+        """
+        complete = self._selecting and step.contact.complete
+        done = converged and (complete or self._selections > _MAX_SELECTIONS)
+        contradicts = self._newton.contradicts(step.state.gas, self._data.gas_pa)
+        first_guess = step.balanced and not self._noise_known and not contradicts
+        known = step.balanced and self._noise_known and not self._large and searched
+        if done or first_guess or known:
+            updated = self._newton.updated_noise(
+                step, observed, self._noise, self._image_shows_rest
+            )
+            if done and noise_converged(updated, self._noise, self._noises, int(self._warm)):
+                return True
+            if done or first_guess:
+                self._noises.append(self._noise if done else Noise(np.inf, np.inf))
+                self._selections = self._steps = self._stalled = self._settling = 0
+            self._noise = updated
+        self._selecting = converged or self._large or first_guess
+        if converged:
+            self._selections, self._settling = self._selections + 1, 0
+        return False
+
+    def _result(self, step: Step, observed: LinearisedFrame) -> SolvedFrame | Status:
+        newton, pressure = self._newton, step.contact.pressure
+        if contact_blocks(observed, pressure) < np.count_nonzero(pressure):
+            return "no_data"
+        touching = pressure.any()
+        if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
+            return "implausible"  # contact does not improve the fit
+        if not touching and self._noise.ranges > IMPLAUSIBLE_MISFIT:
+            return "implausible"  # nor does the membrane at rest fit
+        view, observer, mesh = observed.view, newton.observer, newton.mesh
+        contact = significant_contact(mesh, step.contact)
+        by_flow = contacts_seen_by_flow(pressure, mesh.rings, observed.seen_by_flow)
+        return SolvedFrame(
+            step,
+            (self._following or observed).view,
+            self._noise,
+            observer.misfit(observed.observation, view.block, step.residual_m),
+            newton.contradicts(step.state.gas, self._data.gas_pa),
+            contact,
+            wrench_covariance(newton.bubble, step, contact, newton.friction * ~by_flow),
+            _visible_share(observed, mesh.areas * contact),
+            _flow_fit(step, observed.flow, self._noise) if by_flow.any() else None,
+            self._solve_ms,
+        )
+
+
+def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
+    """Whether an image alone, without a gas pressure, is explained without contact."""
+    observed = newton.observe(FrameData(measured), newton.rest, None)
+    if _reject_image(newton, observed, newton.rest):
+        return False
+    fits = newton.fits_without_contact(observed, None)
+    step = newton.step(None, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits)
+    if step is None or not step.balanced:
+        return False
+    shows_rest = newton.shows_rest(observed, step.contact.pressure)
+    noise = newton.updated_noise(step, observed, AS_EXPECTED, shows_rest).ranges
+    untouched = fits or newton.fits_without_contact(observed, None, noise)
+    return untouched and noise <= IMPLAUSIBLE_MISFIT
+
+
+def _reject_image(newton: GaussNewton, observed: LinearisedFrame, state: State) -> Status | None:
+    """Failure if the image does not fit the membrane, or None."""
+    seen, size_m = observed.weight > 0.0, newton.length_m
+    if np.count_nonzero(seen) < MINIMUM_BLOCKS:
+        return "no_data"
+    error = observed.error_m[seen]
+    # Contact only pushes inwards: a surface far outside the membrane at rest is not of it.
+    outside = state is newton.rest and np.sqrt(np.mean(np.maximum(error, 0.0) ** 2))
+    if outside > IMPLAUSIBLE_SHARE * size_m or np.median(np.abs(error)) > size_m:
+        return "implausible"
+    return None
+
+
+def _was_linear(
+    newton: GaussNewton, step: Step, observed: LinearisedFrame, following: LinearisedFrame
+) -> bool:
+    """Whether the error of a step's linearisation changes its force by less than noise does."""
+    touching = step.contact.pressure > 0.0
+    if not touching.any():
+        return True
+    exact = np.full(newton.observer.blocks, np.nan)
+    exact[following.view.block] = following.error_m
+    linear = step.residual_m + step.image_error_m
+    beyond = np.nan_to_num(exact[observed.view.block] - linear)
+    nodes = step.contact.nodes
+    force = unit_wrenches(newton.bubble, step, touching, nodes)[:, :3]
+    if observed.flow is not None and following.flow is not None:
+        beyond_flow = following.flow.error_px - observed.flow.after(step.motion)
+        beyond = np.concatenate([beyond, beyond_flow])
+    change = change_by(step, beyond) @ force
+    variance = np.diag(step.contact.problem.covariance_of(nodes, force))
+    return bool((change**2 <= variance).all())
+
+
+def _visible_share(observed: LinearisedFrame, area: np.ndarray) -> float:
+    """Share of an area of nodes (n,) whose facets are visible."""
+    jacobian, visible = observed.view.jacobian, np.zeros(len(area), bool)
+    weighed = np.repeat(observed.weight > 0.0, np.diff(jacobian.indptr))
+    visible[jacobian.indices[weighed] // 3] = True
+    return float(area @ visible / area.sum()) if area.any() else np.nan
+
+
+def _flow_fit(step: Step, flow: FlowResidual | None, noise: Noise) -> FlowFit:
+    """How well the optical flow of a contact is fitted."""
+    assert flow is not None  # it sees the contact
+    contact = step.contact
+    rms_px = float(np.sqrt(np.mean(flow.after(step.motion) ** 2)))
+    own = step.measurements.nuisances.motions[contact.nodes]
+    pushed = step.tangent.responses(contact.nodes).reshape(len(step.state.x), 3, -1)[contact.nodes]
+    motions = np.concatenate([-pushed, own], axis=2).reshape(3 * len(own), -1)
+    covariance = contact.covariance[: motions.shape[1], : motions.shape[1]]
+    variance = np.einsum("ij,jk,ik->i", motions, covariance, motions, optimize=True)
+    return FlowFit(rms_px, noise.flow, float(np.sqrt(variance.mean())))
