@@ -11,7 +11,7 @@ import pytest
 
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import Frame, RecordingWriter
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "rubber_truth"
@@ -101,13 +101,6 @@ class Renders:
 
     def close(self):
         pass
-
-    def write(self, path):
-        """Write a recording of all frames."""
-        with RecordingWriter(path) as writer:
-            for index in range(len(self)):
-                writer.write(self[index])
-        return path
 
 
 def render(

@@ -2,6 +2,7 @@
 
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
+from bubbleviz.recordings import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
@@ -30,6 +31,14 @@ def small_source(sensor, heights=HEIGHTS, seed=0):
     poses = [parse_pose(f"0.005 0 {height} 0 0 0 1") for height in heights]
     noise = DepthNoise(relative=0.002)
     return SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, noise, seed=seed)
+
+
+def record(path, frames):
+    """A recording of frames, or of those of a source."""
+    with RecordingWriter(path) as writer:
+        for frame in frames:
+            writer.write(frame)
+    return path
 
 
 def write_press(path, sensor, heights=HEIGHTS, seed=0):

@@ -30,6 +30,13 @@ def name_of(file):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
+@cache
+def tree_of(file):
+    """Syntax tree of a file, and all its nodes."""
+    tree = ast.parse(file.read_text())
+    return tree, [*ast.walk(tree)]
+
+
 MODULES = {name_of(file): file for file in FILES}
 
 
@@ -52,7 +59,7 @@ def imported(node):
 @cache
 def imports():
     """What each module imports."""
-    return {name: set(imported(ast.parse(file.read_text()))) for name, file in MODULES.items()}
+    return {name: set(imported(tree_of(file)[0])) for name, file in MODULES.items()}
 
 
 def test_no_module_imports_itself_through_others():
@@ -116,7 +123,7 @@ def test_tests_use_nothing_private():
     found = [
         f"{file.relative_to(REPOSITORY)}:{node.lineno}: {name}"
         for file in TESTS
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in tree_of(file)[1]
         for name in private_names(node)
     ]
     assert not found
@@ -128,7 +135,7 @@ def test_tests_wait_for_conditions_and_never_for_a_time():
         f"{file.relative_to(REPOSITORY)}:{node.lineno}"
         for file in TESTS
         if file.name.startswith("test_")
-        for node in ast.walk(ast.parse(file.read_text()))
+        for node in tree_of(file)[1]
         if isinstance(node, ast.Call)
         and (
             called(node) in ("sleep", "qWait", "qSleep")
@@ -140,7 +147,7 @@ def test_tests_wait_for_conditions_and_never_for_a_time():
 
 def late_imports(file):
     """First and last line of each run of imports inside a function."""
-    for function in ast.walk(ast.parse(file.read_text())):
+    for function in tree_of(file)[1]:
         if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
             lines = sorted(
                 (node.lineno, node.end_lineno or node.lineno)
@@ -158,7 +165,7 @@ def test_an_import_inside_a_function_says_why():
     silent = []
     for file in FILES:
         text = file.read_text().splitlines()
-        if "import" in (ast.get_docstring(ast.parse(file.read_text())) or ""):
+        if "import" in (ast.get_docstring(tree_of(file)[0]) or ""):
             continue
         for start, end in late_imports(file):
             above = text[start - 2].strip().startswith("#")

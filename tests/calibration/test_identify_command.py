@@ -9,12 +9,13 @@ from collections import Counter
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_press import record
 
 from bubbleviz.cli.verb_commands import identify
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Recording, RecordingWriter
+from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml, with_colour_delay
 
 from .domes import GAUGE, sphere
@@ -22,11 +23,8 @@ from .twin import make_twin, nominal_sensor
 
 
 def recorded(source, sensor, folder):
-    with RecordingWriter(folder / "rest.mcap") as writer:
-        for k in range(len(source)):
-            writer.write(source[k])
     (folder / "given.toml").write_text(sensor_to_toml(sensor))
-    return folder / "rest.mcap", folder / "given.toml"
+    return record(folder / "rest.mcap", source), folder / "given.toml"
 
 
 def run(*arguments):

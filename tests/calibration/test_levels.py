@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_press import record
 
 from bubbleviz.calibration import Settings, Step, Workbench, write_sensor
 from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.sensor_model import SensorModel
@@ -143,15 +143,8 @@ def press():
     return SyntheticSource(sensor, obj, poses, QUIET, nodes=400)
 
 
-def recorded(source, path):
-    with RecordingWriter(path) as writer:
-        for k in range(len(source)):
-            writer.write(source[k])
-    return path
-
-
 def test_command_validates_by_a_known_press(press, tmp_path):
-    recording = recorded(press, tmp_path / "press.mcap")
+    recording = record(tmp_path / "press.mcap", press)
     (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
     z = press.poses[-1][2, 3]
     arguments = [
@@ -174,7 +167,7 @@ def test_command_validates_by_a_known_press(press, tmp_path):
 
 def test_command_takes_further_levels(tmp_path):
     domes = [stretched(height) for height in (0.05, 0.045)]
-    files = [recorded(dome, tmp_path / f"{k}.mcap") for k, dome in enumerate(domes)]
+    files = [record(tmp_path / f"{k}.mcap", dome) for k, dome in enumerate(domes)]
     (tmp_path / "given.toml").write_text(sensor_to_toml(domes[0].sensor))
     out = tmp_path / "new.toml"
     result = CliRunner().invoke(main, ["identify",
@@ -187,7 +180,7 @@ def test_command_takes_further_levels(tmp_path):
 
 
 def test_invalid_pressed_frames_are_refused_and_leave_no_files(press, tmp_path):
-    recording = recorded(press, tmp_path / "press.mcap")
+    recording = record(tmp_path / "press.mcap", press)
     (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
     before = sorted(tmp_path.iterdir())
     result = CliRunner().invoke(main, ["identify",

@@ -8,12 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_press import record
 
 from bubbleviz.calibration import Vented, collect, with_rubber
 from bubbleviz.cli.verb_commands import identify as command
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, prestressed
-from bubbleviz.recordings import Frame, RecordingWriter
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
@@ -31,14 +32,6 @@ WIDTH, FRAMES, NODES = 80, 10, 500
 def source_of(level):
     """Frames of the sheet at a level, each level with noise of its own."""
     return SHEET.recording(level, round(1e3 * level), frames=FRAMES, width=WIDTH)
-
-
-def recorded(level, path):
-    source = source_of(level)
-    with RecordingWriter(path) as writer:
-        for k in range(len(source)):
-            writer.write(source[k])
-    return path
 
 
 @pytest.mark.parametrize("level", [0.85, 1.15])
@@ -68,7 +61,9 @@ def test_an_inflated_membrane_is_in_equilibrium(share):
 def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     """Levels of ±15 %; the sensor file's atmosphere is 0.7 kPa too much."""
     names = {0.85: "low", 1.0: "rest", 1.15: "high"}
-    files = {level: recorded(level, tmp_path / f"{name}.mcap") for level, name in names.items()}
+    files = {
+        level: record(tmp_path / f"{name}.mcap", source_of(level)) for level, name in names.items()
+    }
     given = SHEET.sensor(WIDTH)
     air = given.pneumatics.model_copy(update={"atmospheric_pressure_pa": ATMOSPHERE_PA + 700.0})
     given = given.model_copy(update={"pneumatics": air})

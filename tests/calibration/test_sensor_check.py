@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_press import record
 
 import bubbleviz as bv
 from bubbleviz.calibration import write_sensor
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, MembraneMesh, build_rubber
-from bubbleviz.recordings import RecordingWriter
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 
@@ -140,11 +140,8 @@ def test_frames_that_are_touched_are_refused(sensor, twin):
 
 
 def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
-    with RecordingWriter(tmp_path / "press.mcap") as writer:
-        for k in range(len(twin)):
-            writer.write(twin[k])
-    file = sensor.resolve(sensor.file)
-    words = ["check", str(tmp_path / "press.mcap"), "--sensor", str(file)]
+    recording, file = record(tmp_path / "press.mcap", twin), sensor.resolve(sensor.file)
+    words = ["check", str(recording), "--sensor", str(file)]
     told = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)
     assert told["verdict"] == "fits" and told["frames"][1] <= FREE
     lines = CliRunner().invoke(main, words).stdout.splitlines()

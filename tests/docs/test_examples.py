@@ -8,7 +8,7 @@ import numpy as np
 import press_until
 import pytest
 import ros2_without_ros
-from small_press import write_press
+from small_press import record, write_press
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
@@ -53,10 +53,8 @@ def test_the_robot_stops_at_the_force_and_before_the_end(recording, sensor):
 
 def test_robot_stops_at_an_untrusted_result(sensor, tmp_path):
     press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
-    with RecordingWriter(tmp_path / "dark.mcap") as writer:
-        dark = np.full_like(press[0].depth_m, np.nan)
-        for k in range(5):
-            writer.write(replace(press[0], index=k, time_s=k / 10.0, depth_m=dark, stamp_ns=0))
+    dark = replace(press[0], depth_m=np.full_like(press[0].depth_m, np.nan), stamp_ns=0)
+    record(tmp_path / "dark.mcap", (replace(dark, index=k, time_s=k / 10.0) for k in range(5)))
     robot = Recorded()
     with bv.connect(f"replay:{tmp_path / 'dark.mcap'}", sensor) as stream:
         last = press_until.press_until(stream, robot, 3.0)
@@ -89,9 +87,8 @@ def test_the_robot_is_stopped_when_the_camera_dies(sensor, tmp_path, capsys):
 
 def test_the_robot_is_stopped_when_the_camera_repeats_its_image(sensor, tmp_path):
     press = bv.simulate(sensor, "cylinder", "0.005 0 0.060 0 0 0 1", frames=1)
-    with RecordingWriter(tmp_path / "hung.mcap") as writer:
-        for k in range(80):
-            writer.write(replace(press[0], index=k, time_s=0.05 * k, stamp_ns=0))
+    same = replace(press[0], stamp_ns=0)
+    record(tmp_path / "hung.mcap", (replace(same, index=k, time_s=0.05 * k) for k in range(80)))
     robot = Recorded()
     with bv.connect(f"replay:{tmp_path / 'hung.mcap'}", sensor) as stream:
         last = press_until.press_until(stream, robot, 3.0)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from small_press import small_source
+from small_press import record, small_source
 from streams import recorded
 from wire import NOW, PERIOD, depth
 
@@ -44,9 +44,8 @@ def start(*arguments):
 
 def write_plain(path, frames):
     """Images of one depth, of another size than any preset's."""
-    with RecordingWriter(path) as writer:
-        for k in range(frames):
-            writer.write(Frame(k, 0.01 * k, np.full((48, 64), 0.1, np.float32)))
+    depth_m = np.full((48, 64), 0.1, np.float32)
+    record(path, (Frame(k, 0.01 * k, depth_m) for k in range(frames)))
 
 
 def has_frames(path):
@@ -172,10 +171,8 @@ def untouched_recording(path, sensor_file, frames, off_pa):
 
 def test_an_untrusted_estimate_shows_no_force(tmp_path, small_sensor_file):
     path, camera = tmp_path / "rec.mcap", load_sensor(small_sensor_file).camera
-    with RecordingWriter(path) as writer:
-        for k in range(5):
-            dark = np.zeros((camera.height, camera.width), np.float32)
-            writer.write(Frame(k, 0.01 * k, dark))
+    dark = np.zeros((camera.height, camera.width), np.float32)
+    record(path, (Frame(k, 0.01 * k, dark) for k in range(5)))
     words = ("watch", "--source", f"replay:{path}", "--sensor", small_sensor_file)
     facts = json.loads(output_of(*words, "--json"))
     assert list(facts["status"]) == ["no_data"]

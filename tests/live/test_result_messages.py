@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_press import record
 from streams import over_zenoh
 from wire import STORE
 
@@ -29,7 +30,7 @@ from bubbleviz.live import (
 )
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pressure_zero import ZERO_FRAMES, PressureZero
-from bubbleviz.recordings import Frame, FrameMessages, RecordingWriter
+from bubbleviz.recordings import Frame, FrameMessages
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, SyntheticSource, default_path
@@ -377,12 +378,10 @@ def test_weather_does_not_appear_as_contact(small_sensor):
 
 def test_recording_is_zeroed_by_default(small_sensor, small_sensor_file, tmp_path):
     """A recording of a day with 800 Pa less: `--no-zero-gas` believes it."""
-    path, source = tmp_path / "rec.mcap", press(small_sensor, 200)
-    with RecordingWriter(path) as writer:
-        for k in (*range(20), *range(80, 90)):
-            frame = source[k]
-            assert frame.gas_pressure_pa is not None
-            writer.write(replace(frame, gas_pressure_pa=frame.gas_pressure_pa - 800.0))
+    source = press(small_sensor, 200)
+    frames = [source[k] for k in (*range(20), *range(80, 90))]
+    lower = (replace(each, gas_pressure_pa=each.gas_pressure_pa - 800.0) for each in frames)
+    path = record(tmp_path / "rec.mcap", lower)
     with pytest.raises(InputError, match="no frame looks like the membrane"):
         bv.estimate(bv.open(path), small_sensor_file, zero_gas=False)
     run = bv.estimate(bv.open(path, "18:"), small_sensor_file, out=tmp_path / "zeroed.npz")
@@ -405,11 +404,10 @@ def test_message_without_a_zero(small_sensor_file, small_sensor, tmp_path):
             "contact-free frames in a row, so within ±2 kPa by the weather",
         ),
     ):
-        path = tmp_path / f"{name}.mcap"
-        with RecordingWriter(path) as writer:
-            for k in frames:
-                frame = source[k]
-                writer.write(frame if measured else replace(frame, gas_pressure_pa=None))
+        chosen = [source[k] for k in frames]
+        if not measured:
+            chosen = [replace(frame, gas_pressure_pa=None) for frame in chosen]
+        path = record(tmp_path / f"{name}.mcap", chosen)
         run = bv.estimate(bv.open(path), small_sensor_file, out=tmp_path / f"{name}.npz")
         zero = run.context["gas_zero"]
         assert zero is None if says is None else says in zero

@@ -4,11 +4,12 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from small_press import record as record
 
 from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
-from bubbleviz.recordings import Frame, RecordingWriter
+from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 FIRST_CONTACT = 4
@@ -26,14 +27,6 @@ def small_sensor(name="small dome", nodes=200, prestretch=None):
             position_m=(0.0, 0.0, -0.104), noise_relative=0.001,
         ),
     )  # fmt: skip
-
-
-def record(path, frames):
-    """Write frames to a recording."""
-    with RecordingWriter(path) as writer:
-        for frame in frames:
-            writer.write(frame)
-    return path
 
 
 class DentSource:
