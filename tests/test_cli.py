@@ -162,20 +162,9 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(arguments, words
     assert words in refusal(*arguments)
 
 
-def test_a_truncated_recording_through_the_real_command(recording):
-    def info_of(content):
-        recording.write_bytes(content)
-        return subprocess.run(
-            [*command, "info", str(recording)], capture_output=True, text=True, check=False
-        )
-
-    command = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
-    whole = recording.read_bytes()
-    opened = info_of(whole[:-40])  # its index is lost, no chunk
-    assert opened.returncode == 0 and "after it are lost" in opened.stdout
-    refused = info_of(whole[:200])
-    assert refused.returncode == 2 and refused.stdout == ""
-    assert refused.stderr.count("\n") == 1 and "ends before its first message" in refused.stderr
+def test_info_of_a_truncated_recording(recording):
+    recording.write_bytes(recording.read_bytes()[:-40])  # its index is lost, no chunk
+    assert "after it are lost" in output_of("info", recording)
 
 
 @pytest.mark.parametrize(

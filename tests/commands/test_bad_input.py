@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tomli_w
-from small_press import small_source
+from small_press import record as record_frames, small_source
 
-from bubbleviz.recordings import Frame, Recording, RecordingWriter
+from bubbleviz.recordings import Frame, Recording
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
 from tests.program import refusal, run
 from tests.recordings.bagmaker import START, BagMaker, depth_image
@@ -116,11 +116,6 @@ def test_missing_file(bench, command):
     bench.refused(command, "nope.mcap", "no such recording")
 
 
-def test_wrong_encoding(bench, command):
-    record(bench, [np.zeros((24, 32, 3), np.uint8)], "rgb8", step=96)
-    bench.refused(command, bench.recording.name, "'rgb8'", "32FC1")
-
-
 def test_image_size_that_differs_from_the_sensors(bench, solving):
     record(bench, [depth_image(0, 10, 20)])
     bench.refused(solving, bench.recording.name, "20×10", "32×24", "sensor.toml")
@@ -190,10 +185,9 @@ def test_warning_if_the_gas_pressure_does_not_match_the_sensor(
 ):
     source = small_source(sensor, heights=15 * (0.06,))
     pressure = load_sensor(sensor).pneumatics.reference_pressure_pa + off_pa
-    with RecordingWriter(tmp_path / "rec.mcap") as writer:
-        for k in range(15):
-            writer.write(replace(source[k], gas_pressure_pa=pressure))
-    words = ("estimate", tmp_path / "rec.mcap", "--sensor", sensor, *zeroed)
+    frames = (replace(frame, gas_pressure_pa=pressure) for frame in source)
+    path = record_frames(tmp_path / "rec.mcap", frames)
+    words = ("estimate", path, "--sensor", sensor, *zeroed)
     done = run(*words, "--out", tmp_path / "result.npz")
     told = done.stdout + done.stderr
     assert ("more than weather" in told) == warned
@@ -285,19 +279,7 @@ def test_the_same_name_for_both_outputs(bench):
 
 
 @pytest.mark.parametrize(
-    ("frames", "words"),
-    [
-        ("1", "A:B"),
-        ("a:b", "A:B"),
-        ("0:1:1:1", "A:B"),
-        ("", "A:B"),
-        ("-1:2", "A:B"),
-        ("2:1", "no frame"),
-        ("2:2", "no frame"),
-        ("0:3:0", "step"),
-        ("0:4", "outside its 3 frames"),
-        ("3:", "outside its 3 frames"),
-    ],
+    ("frames", "words"), [("a:b", "A:B"), ("2:2", "no frame"), ("0:4", "outside its 3 frames")]
 )
 def test_frames_out_of_range(bench, frames, words):
     record(bench, GOOD)
@@ -326,10 +308,8 @@ def test_no_preset_fits(bench):
 
 def test_damaged_frame_leaves_no_output(bench, monkeypatch):
     """The failure comes when files are open already."""
-    with RecordingWriter(bench.folder / "rec.mcap") as writer:
-        for k, depth in enumerate(GOOD):
-            writer.write(Frame(k, k / 30.0, depth))
-    bench.recording = bench.folder / "rec.mcap"
+    frames = (Frame(k, k / 30.0, depth) for k, depth in enumerate(GOOD))
+    bench.recording = record_frames(bench.folder / "rec.mcap", frames)
     whole = Recording.__getitem__
 
     def damaged(self, index):

@@ -1,5 +1,6 @@
 """Frame ranges against Python's own slices."""
 
+import pytest
 from hypothesis import given, strategies as st
 
 from bubbleviz.api.frames import parse_frames
@@ -24,6 +25,20 @@ def test_range_like_a_slice_or_one_sentence_of_error(start, stop, step, count, s
         assert "\n" not in str(error)
     else:
         assert list(chosen) == list(range(count))[slice(start, stop, step)] != []
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        *((text, "A:B") for text in ("1", "a:b", "0:1:1:1", "", "-1:2")),
+        *((text, "no frame") for text in ("2:1", "2:2")),
+        ("0:3:0", "step"),
+        *((text, "outside its 3 frames") for text in ("0:4", "3:")),
+    ],
+)
+def test_what_is_wrong_with_a_range_is_said(text, words):
+    with pytest.raises(InputError, match=words):
+        parse_frames(text, 3, "rec")
 
 
 @given(st.text(max_size=12), st.integers(1, 30))
