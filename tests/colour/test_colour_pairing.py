@@ -19,7 +19,7 @@ def press(times_s):
     return s * s * (3.0 - 2.0 * s) + 0.02 * np.clip(times_s - 1.3, 0.0, None)
 
 
-def make_recording(folder, lead, frames=60):
+def make_recording(folder, lead, frames=52):
     """Speckle dragged as far as the depth changes `lead` periods later."""
     bag, rng = BagMaker("mcap file"), np.random.default_rng(0)
     still = clean_image()

@@ -4,13 +4,13 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from small_press import record as record
 
 from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from tests.small_press import record as record
 
 FIRST_CONTACT = 4
 FRAMES = 12

@@ -10,12 +10,13 @@ from pathlib import Path
 import pytest
 from fakes import small_sensor
 from PySide6.QtGui import QImage
+from PySide6.QtWidgets import QApplication
 from window_driver import as_pixels, pressure_coloured, run_python
 
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.app import screenshot
+from bubbleviz_ui.app import run_window, screenshot
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.shell.display import has_display
 from bubbleviz_ui.window_session import window_session
@@ -169,11 +170,10 @@ def test_benchmark_counts_renders():
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
 
 
-def test_no_window_appears_for_a_recording_that_cannot_be_opened(tmp_path):
-    missing = tmp_path / "missing.mcap"
-    done = run(f"run_window(small_sensor(), Path({str(missing)!r}))")
-    assert done.returncode == 1 and "missing.mcap" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path):
+    with pytest.raises(InputError, match=r"missing\.mcap"):
+        run_window(small_sensor(), tmp_path / "missing.mcap")
+    assert not QApplication.topLevelWidgets()
 
 
 def test_real_press_shows_contact_at_the_poker(drive, punyo_press):

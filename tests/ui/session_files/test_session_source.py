@@ -24,6 +24,7 @@ from bubbleviz_ui.session_files.session_file import (
     read_user_file,
 )
 from bubbleviz_ui.window_session import window_session
+from tests.program import refusal
 
 FRAMES = 12
 
@@ -226,9 +227,7 @@ def test_invalid_session_file_gives_one_sentence(tmp_path, text):
 
 def test_missing_session_or_session_with_frame_option_is_an_error(tmp_path):
     for words, told in ([], "a.bubbleviz"), (["--frame", "3"], "--frame"):
-        done = run_bubbleviz("open", tmp_path / "a.bubbleviz", *words)
-        assert done.returncode == 2
-        assert len(done.stderr.strip().splitlines()) == 1 and told in done.stderr
+        assert told in refusal("open", tmp_path / "a.bubbleviz", *words)
 
 
 def test_session_file_does_not_change_the_publishing_endpoint(drive, tmp_path):
