@@ -116,7 +116,7 @@ def _rubber(name: str) -> InflatedRubber:
 def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     """Identify from one set of recordings: by levels only, and with the chamber opened."""
     rubber, rows = _rubber(name), []
-    rng = np.random.default_rng([seed, 0])
+    rng = np.random.default_rng([seed, list(RUBBERS).index(name)])  # independent of other rubbers
     weather = ATMOSPHERE_PA + _WEATHER_PA * rng.standard_normal()
     sigma = _VENTED_NOISE_PA / np.sqrt(_VENTED_FRAMES)
     vented = Vented("vented", ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
