@@ -1,5 +1,6 @@
 """Friction from depth alone, on rubber of another solver and presses on another mesh."""
 
+import math
 import os
 import re
 
@@ -152,7 +153,7 @@ def test_friction_on_rubber_by_another_solver(name, noise_m, identified, tmp_pat
 def _assert_tracked(presses, centers_m, sensor, folder):
     """The ball is tracked while it is dragged; its rotation cannot be seen."""
     trimesh.creation.icosphere(5, 0.01).export(folder / "ball.ply")
-    first = 4 // EVERY  # with a patch of enough points
+    first = math.ceil(3 / EVERY)  # with a patch of enough points
     start = np.eye(4)
     start[:3, 3] = centers_m[first] + [1e-3, -1e-3, 1e-3]
     estimator = bv.Estimator(sensor, object=folder / "ball.ply", init=start)
