@@ -379,7 +379,7 @@ def test_readout_leaves_most_of_a_low_view_free(drive):
     driver.wait_until_shown()
     headline, *others = text_actors(driver)
     assert headline.GetInput().startswith("contact")
-    assert 3 * text_bottom(driver, headline) < window.view.height()
+    assert text_bottom(driver, headline) < 0.4 * window.view.height()
     assert not any(text.GetInput().startswith("peak") for text in others)
     driver.click(window.message.dismiss)
     driver.wait(lambda: any(t.GetInput().startswith("peak") for t in text_actors(driver)))

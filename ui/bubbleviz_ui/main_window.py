@@ -70,6 +70,7 @@ from bubbleviz_ui.shell.file_dialogs import (
     last_sensor,
     picture_format,
     picture_saved,
+    remember,
     remember_sensor,
 )
 from bubbleviz_ui.shell.menus import Menus
@@ -566,6 +567,9 @@ class MainWindow(QMainWindow):
     def _on_opened(self, opened: Opened) -> None:
         if self._source is None:
             self._reading.submit(import_plots, due_s=time.perf_counter() + PLOTS_AFTER_S)
+        path = opened.request.source.path
+        if path is not None:
+            remember("recording", path)
         if opened.request.source is not self._source:  # reopening the same keeps the focus
             self._source = opened.request.source
             self.view.setFocus()

@@ -30,6 +30,7 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
         bench.click(panel.next)
         assert bench.answer.work.settings.last_step == step
         assert panel.page.view.image is not None
+        assert panel.stack.currentWidget().horizontalScrollBar().maximum() == 0
     estimate = bench.draft.found.tension
     value, half = estimate.tension.value, estimate.tension.half_width
     assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"

@@ -71,6 +71,8 @@ def test_export_table_of_the_chosen_range_with_poses(bench, tmp_path):
     with out.open() as file:
         rows = list(csv.DictReader(file))
     assert [int(row["frame"]) for row in rows] == [3, 5, 7]
+    bench.pick(bench.dialog.kind, "Plots")
+    assert not bench.dialog.message.text()  # that was of the table
     assert float(rows[0]["patch_area_m2"]) == 0.0 < float(rows[2]["patch_area_m2"])
     bench.seek(7)
     patch = bench.result.patch

@@ -68,6 +68,13 @@ def test_badge_is_connecting_until_the_first_picture(open_bench):
     assert " (simulated) " in live.window.windowTitle()
 
 
+def test_wait_for_a_simulation_is_explained_as_such(open_bench):
+    live = open_bench()
+    live.live_controller.connect_to(single("synthetic:?frames=600", sensor_file(live.folder)))
+    live.wait(lambda: "simulating the first images" in live.window.live.state.text())
+    live.click(live.window.live.leave)
+
+
 def test_badge_of_each_kind_of_source(open_bench):
     """In the bar and the window title, for each kind of source and state."""
     bench = open_bench()

@@ -29,7 +29,7 @@ from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.pose import pose_panel
 from bubbleviz_ui.pose.pose_panel import Curves
-from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, OBJECT_PATCH
+from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, NEUTRAL, OBJECT_PATCH
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.object_layers import FitLayer
 
@@ -236,7 +236,7 @@ def test_tracking_export_and_undo_of_reset(bench, tmp_path, monkeypatch):
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     bench.wait_until_shown()
     assert not session.rows and not bench.panel.track.isChecked()
-    assert bench.drawn() == GAP and stack.index() == steps + 1  # above the membrane, not found
+    assert bench.drawn() == NEUTRAL and stack.index() == steps + 1  # above the membrane
     bench.key(Qt.Key.Key_Z, CTRL)
     assert session.rows == rows and bench.panel.track.isChecked()
     assert np.array_equal(bench.window.scene.object.T_B_O, place)

@@ -178,7 +178,7 @@ def test_use_of_colour_is_said_beside_the_force_and_in_compare(drive, rubber):
     assert "by depth and colour" in details()
     driver.show("compare")
     driver.wait(lambda: panel.a.values["status"].text() == "ok")
-    assert panel.hint.text().startswith("A and B are solved by depth alone")
+    assert panel.hint.text().startswith("This panel solves by depth alone")
     driver.choose(layers=layers)
     driver.seek(0)
     driver.seek(len(source) - 1)

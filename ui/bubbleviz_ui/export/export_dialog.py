@@ -100,6 +100,7 @@ class ExportDialog(QDialog):
     def _connect(self) -> None:
         exporting = self._exporting
         self.kind.currentIndexChanged.connect(lambda _: self._show())
+        self.kind.currentIndexChanged.connect(lambda _: self.message.clear())
         self.frames.currentIndexChanged.connect(lambda _: self._show())
         self.step.valueChanged.connect(lambda _: self._show())
         self.export.clicked.connect(lambda: self._choose_name())

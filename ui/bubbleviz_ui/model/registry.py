@@ -95,7 +95,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "object": LayerKind(
             "Object",
             "Object of the Pose panel at its pose or initial pose;\n"
-            "amber: some directions not determined, red: not found in this frame",
+            "grey: not fitted, amber: some directions not determined, red: not found in this frame",
         ),
         "fit": LayerKind(
             "Fit",

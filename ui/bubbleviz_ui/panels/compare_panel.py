@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 NOT_MEASURED = None, None
 NEEDS_TRUTH = "Force error and patch IoU need the ground truth of a simulation."
-DEPTH_ALONE = "A and B are solved by depth alone; the frame shown uses its colour image, too."
+DEPTH_ALONE = "This panel solves by depth alone; the frame shown uses its colour image, too."
 ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),

@@ -205,7 +205,7 @@ class KappaHistogram(KappaAxisPlot):
                 width=0.9 * (edges[1] - edges[0]),
             )
         self.set_line(kappa)
-        self.frame.write(f"Membrane area ({units.area.symbol}) by p_c / mean p_c")
+        self.frame.write(f"Area ({units.area.symbol}) by p_c / mean p_c")
 
 
 class KappaPlot(KappaAxisPlot):

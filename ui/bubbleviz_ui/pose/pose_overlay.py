@@ -12,7 +12,7 @@ from vtkmodules.vtkCommonTransforms import vtkTransform
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.pose.pose_panel import PosePanel
-from bubbleviz_ui.view3d.object_layers import LOST
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_view import View
 
 if TYPE_CHECKING:
@@ -127,7 +127,7 @@ class PoseOverlay:
     def _draw_start(self, start: np.ndarray | None) -> None:
         """Draw the object at its initial pose, or above the membrane if there is none."""
         if start is None and self._obj is not None:
-            self._scene.object.put(self._above(self._obj), LOST)
+            self._scene.object.put(self._above(self._obj), theme.NEUTRAL)
         else:
             self._scene.object.put(start)
 

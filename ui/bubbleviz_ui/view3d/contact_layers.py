@@ -325,7 +325,7 @@ HEAD, REST = 26, 15  # px, fonts of headline and details
 TOP, BELOW = 14, 36  # px, top margin, and distance of the details from it
 SMALLEST, TALL = 0.75, 400
 """Smallest scale of these sizes in a low view, and view height of full size, px."""
-MOST = 1 / 3
+MOST = 0.4
 """Share of the view's height above which the details are left out: the panels have them, too."""
 SEPARATOR = "   "
 """Between details, which are wrapped there."""
