@@ -37,7 +37,7 @@ def film(recording: Path, out: Path) -> None:
         window.show()
         session.wait_until_drawn()
         session.state.change(picture_size=SIZE, speed=SPEED)
-        window.exporting.notified.connect(lambda message: print(message.text))
+        window.messages.added.connect(lambda message: print(message.text))
         video = next(kind for kind in KINDS if kind.is_video)
         window.exporting.start(video, FRAMES, out)
         session.wait_for(lambda: not window.exporting.busy, "exported")

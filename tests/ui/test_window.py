@@ -23,7 +23,6 @@ from window_driver import CONTACT, LEFT, text_actors
 
 import bubbleviz
 from bubbleviz_ui.model.demand import STAGES
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
@@ -374,7 +373,7 @@ def test_readout_leaves_most_of_a_low_view_free(drive):
     driver.resize(675, 427)
     driver.show("plots", "pose")
     driver.wait_until_shown()
-    window.messages.add(UserMessage("warning", 20 * "long message "))
+    window.messages.add("warning", 20 * "long message ")
     driver.wait(lambda: window.view.height() < 180)
     driver.wait_until_shown()
     headline, *others = text_actors(driver)

@@ -37,7 +37,7 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
 from bubbleviz_ui.model.demand import StageTimes
 from bubbleviz_ui.model.hover import Hover
-from bubbleviz_ui.model.messages import OPENING, MessageKind, Messages, UserMessage
+from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -69,9 +69,9 @@ from bubbleviz_ui.shell.file_dialogs import (
     file_to_open,
     last_sensor,
     picture_format,
-    picture_saved,
     remember,
     remember_sensor,
+    tell_of_picture,
 )
 from bubbleviz_ui.shell.menus import Menus
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
@@ -124,7 +124,7 @@ class MainWindow(QMainWindow):
         self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
         self.state = state
         self.controller = controller  # Closed with the window
-        self.messages = Messages(self)
+        self.messages = state.messages
         self.message = MessageBar(self)
         self.notice = NoticeBar(self.menuBar())
         self.busy = BusyBar(self)
@@ -266,10 +266,10 @@ class MainWindow(QMainWindow):
             self._import = ImportDialog(
                 self,
                 self.importing,
+                self.messages,
                 self.controller.opening.open_recording,
                 lambda: self.live_controller.recording.folder,
             )
-            self._import.notified.connect(self.messages.add)
         self._import.show()
         self._import.raise_()
 
@@ -287,7 +287,7 @@ class MainWindow(QMainWindow):
     def save_screenshot(self, path: Path) -> None:
         """Write a screenshot of the window."""
         written = self.grab().save(str(path), picture_format(path))
-        self.messages.add(picture_saved(path, written=written))
+        tell_of_picture(self.messages, path, written=written)
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:
         application = QApplication.instance()
@@ -451,7 +451,9 @@ class MainWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
-        self._connect_messages()
+        self.messages.added.connect(self._show_message)
+        self.message.open_requested.connect(self.show_messages)
+        self.notice.open_requested.connect(self._open_written)
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.compare.measured.connect(self.scene.compare)
@@ -483,21 +485,6 @@ class MainWindow(QMainWindow):
             self.state.set_range(frames)
             self.state.change(loop=True)
 
-    def _connect_messages(self) -> None:
-        for notified in (
-            self.controller.opening.notified,
-            self.pose.notified,
-            self.live_controller.notified,
-            self.exporting.notified,
-            self.tools.notified,
-            self.calibration.calibration.notified,
-            self.sensor.notified,
-        ):
-            notified.connect(self.messages.add)
-        self.messages.added.connect(self._show_message)
-        self.message.open_requested.connect(self.show_messages)
-        self.notice.open_requested.connect(self._open_written)
-
     def _show_message(self, message: UserMessage) -> None:
         quiet = message.kind == "notice"
         if quiet and message.topic:
@@ -512,7 +499,7 @@ class MainWindow(QMainWindow):
             why = "no longer exists"
             if path.exists():
                 why = "no program of the desktop opens it; install one for this kind of file"
-            self.messages.add(UserMessage("error", f"{path}: {why}"))
+            self.messages.add("error", f"{path}: {why}")
 
     def _open_dropped(self, paths: list[Path]) -> None:
         """Open the first file; a recording with a sensor file and ground truth dropped with it.
@@ -579,7 +566,7 @@ class MainWindow(QMainWindow):
         if name is not None and name.endswith(".toml"):
             remember_sensor(Path(name), (camera.width, camera.height))
         if opened.facts.remark:
-            self.messages.add(UserMessage("warning", opened.facts.remark))
+            self.messages.add("warning", opened.facts.remark)
         self.scene.depth_camera = opened.camera
         self.stage_times.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)
@@ -623,7 +610,7 @@ class MainWindow(QMainWindow):
         elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
             self.state.set_playing(False)
         kind: MessageKind = "warning" if failed.warning else "error"
-        self.messages.add(UserMessage(kind, message, failed.details, topic=topic))
+        self.messages.add(kind, message, failed.details, topic=topic)
         if isinstance(failed.error, UnknownCameraError):
             self._ask_for_sensor(failed.request, failed.error.size)
 

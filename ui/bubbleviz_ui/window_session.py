@@ -128,14 +128,15 @@ class WindowSession:
             if message.kind == "error":  # a warning is no reason not to start
                 problems.append(message.text)
 
-        live_controller.notified.connect(note)
+        self.state.messages.added.connect(note)
         live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(
             lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
         )
-        live_controller.notified.disconnect(note)
-        problems += [answer.message for answer in self._answers if isinstance(answer, Failed)]
+        self.state.messages.added.disconnect(note)
+        failed = [answer.message for answer in self._answers if isinstance(answer, Failed)]
+        problems = failed + problems
         if problems:
             raise InputError(problems[0])
 

@@ -17,7 +17,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.simulation import default_press
 from bubbleviz_ui.export import export_dialog, exporting as video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
-from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.export.exporting import TOPIC
 from bubbleviz_ui.view3d.tools import picture_of
 
 
@@ -274,7 +274,7 @@ def test_success_removes_the_error_of_an_earlier_export(bench, tmp_path):
     # a long message squeezes nothing
     dialog = bench.dialog
     long = "/a/folder/of/some/length/v.mp4: cannot be written; choose another place. " * 4
-    window.exporting.notified.emit(UserMessage("error", long))
+    window.messages.add("error", long, topic=TOPIC)
     bench.wait(lambda: dialog.message.text() == long)
     controls = (dialog.kind, dialog.frames, dialog.step, dialog.captioned, dialog.export)
     bench.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))

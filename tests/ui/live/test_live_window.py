@@ -12,7 +12,6 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
 from bubbleviz_ui.live import live_frames
 from bubbleviz_ui.live.connection import single
-from bubbleviz_ui.model.messages import UserMessage
 from tests.live.streams import robot
 
 
@@ -119,7 +118,7 @@ def test_window_with_live_bar_fits_a_small_screen(open_bench):
     window.live.record.start_note()
     window.shortcuts.actions["Help › First steps"].trigger()
     long = "/home/robot/recordings/monday/press_of_the_ball.mcap: is no recording; "
-    window.messages.add(UserMessage("error", long, "details"))
+    window.messages.add("error", long, "details")
     window.busy.wait_for(long)
     live.wait(window.busy.isVisible)
     live.wait_for_frames(1)

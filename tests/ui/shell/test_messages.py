@@ -10,7 +10,6 @@ from PySide6.QtGui import QDesktopServices
 from PySide6.QtWidgets import QApplication
 from window_driver import clipboard_text
 
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.session_files.session_file import read_user_file
 from bubbleviz_ui.shell import message_bars
 from bubbleviz_ui.shell.text_dialogs import MessagesDialog
@@ -64,7 +63,7 @@ def test_notice_opens_the_written_file_moves_nothing_and_disappears(
     QApplication.processEvents()
     before = window.view.geometry()
     path = tmp_path / ("long_" * 40 + ".png")
-    window.messages.add(UserMessage("notice", f"Saved {path}", file=path))
+    window.messages.add("notice", f"Saved {path}", file=path)
     driver.wait(notice.isVisible)
     QApplication.processEvents()
     assert window.view.geometry() == before
@@ -92,7 +91,7 @@ def test_messages_are_shown_by_kind_listed_and_copied_and_the_hint_is_dismissed(
         driver.state.change(theme=theme)
         seen = set()
         for kind in ("warning", "error", "notice"):
-            window.messages.add(UserMessage(kind, "text"))
+            window.messages.add(kind, "text")
             bar = window.notice if kind == "notice" else message
             driver.wait(bar.isVisible)
             seen.add(bar.grab().toImage().pixelColor(3, 3).name())
@@ -100,16 +99,16 @@ def test_messages_are_shown_by_kind_listed_and_copied_and_the_hint_is_dismissed(
         for _ in range(2):
             driver.click(message.dismiss)
     before = len(window.messages.all)
-    window.messages.add(UserMessage("error", "bad", "Traceback: here"))
+    window.messages.add("error", "bad", "Traceback: here")
     for _ in range(2):
-        window.messages.add(UserMessage("warning", "odd"))
+        window.messages.add("warning", "odd")
     assert message.kind.text() == "Error" and driver.message_text == "bad"
     driver.click(message.more)
     (dialog,) = window.findChildren(MessagesDialog)
     lines = [line.split()[1:] for line in dialog.text.toPlainText().splitlines()]
     told = [line for line in lines[before:] if line[:1] in (["error"], ["warning"])]
     assert told == [["error", "bad"], *[["warning", "odd"]] * 2]
-    window.messages.add(UserMessage("notice", "good"))
+    window.messages.add("notice", "good")
     assert "good" in dialog.text.toPlainText()
     driver.click(dialog.copy)
     places = [clipboard_text().index(text) for text in ("Traceback: here", "odd", "good")]

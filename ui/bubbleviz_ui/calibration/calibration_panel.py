@@ -107,13 +107,12 @@ class CalibrationPanel(QWidget):
             save(named, benches.source(work), initial.name, path, report, progress)
 
         saved = f"Saved {path} and {report.name}"
-        notice = UserMessage("notice", saved, file=path, topic=TOPIC)
 
         def on_saved(_: None) -> None:
             self.calibration.saved = work
             remember_sensor(path, (named.sensor.camera.width, named.sensor.camera.height))
-            self.calibration.notified.emit(notice)
             controller = self.calibration.controller
+            controller.state.messages.add("notice", saved, file=path, topic=TOPIC)
             if self._unsaved_sensor is not None and controller.sensor is self._unsaved_sensor:
                 controller.opening.open_sensor_file(path)  # replaces the unsaved sensor
 
@@ -192,7 +191,7 @@ class CalibrationPanel(QWidget):
         self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
         calibration.progressed.connect(self.progress.show_step)
-        calibration.notified.connect(self._on_notified)
+        calibration.controller.state.messages.added.connect(self._on_message)
         self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
@@ -225,9 +224,10 @@ class CalibrationPanel(QWidget):
         waiting.deleteLater()
         return not calibration.unsaved
 
-    def _on_notified(self, message: UserMessage) -> None:
+    def _on_message(self, message: UserMessage) -> None:
         """Remember the work that failed, until it changes."""
-        self._failed_work = self.calibration.work if message.kind == "error" else None
+        if message.topic == TOPIC:
+            self._failed_work = self.calibration.work if message.kind == "error" else None
 
     def _show(self) -> None:
         calibration, page = self.calibration, self.page

@@ -21,7 +21,6 @@ from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.undo import UndoRecorder, UndoStep
 from bubbleviz_ui.model.units import Units
 
@@ -103,7 +102,6 @@ class Calibration(QObject):
     changed = Signal()  # settings or results changed, or computing began or ended
     restarted = Signal()  # another source was opened
     progressed = Signal(str, float)  # description of the step, and its completed share
-    notified = Signal(object)  # a `UserMessage`
 
     def __init__(self, controller: Controller, undo: UndoRecorder) -> None:
         super().__init__()
@@ -242,7 +240,7 @@ class Calibration(QObject):
         self.changed.emit()
 
     def _report_failure(self, failed: Failed) -> None:
-        self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+        self.controller.state.messages.add("error", failed.message, failed.details, topic=TOPIC)
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:

@@ -14,7 +14,6 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import NO_SOURCE, Source, sensor_for
 from bubbleviz_ui.model.demand import Demand
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 
 if TYPE_CHECKING:
@@ -39,7 +38,6 @@ class Opening(QObject):
     """
 
     changed = Signal(str)  # Progress text; empty when opening has ended
-    notified = Signal(object)  # A `UserMessage`
     about_to_open = Signal(object)  # An `OpenRequest`, which a receiver may cancel
 
     def __init__(self, state: SessionState, ask: Callable[[OpenRequest], None]) -> None:
@@ -129,7 +127,7 @@ class Opening(QObject):
             self.reopen(path.name, lambda: sensor, Source.of_recording(source.path, path))
         else:
             problem = f"{path}: no recording is open; first open that of the simulation"
-            self.notified.emit(UserMessage("error", problem))
+            self._state.messages.add("error", problem)
 
     def open_sensor_file(self, path: Path) -> None:
         """Use the sensor of a file with the current source, or with the next one of its camera."""

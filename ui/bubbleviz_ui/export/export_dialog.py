@@ -17,7 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz.wording import count_of
-from bubbleviz_ui.export.exporting import KINDS, Exporting, Kind
+from bubbleviz_ui.export.exporting import KINDS, TOPIC, Exporting, Kind
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell.dock import fill
@@ -107,7 +107,7 @@ class ExportDialog(QDialog):
         self.cancel.clicked.connect(exporting.cancel)
         exporting.changed.connect(self._show)
         exporting.progressed.connect(self.progress.show_step)
-        exporting.notified.connect(self._show_message)
+        self._state.messages.added.connect(self._show_message)
         self._state.source_changed.connect(self.show_all)
         self._state.range_changed.connect(self.show_all)
         self._state.settings_changed.connect(self._on_settings)
@@ -161,4 +161,5 @@ class ExportDialog(QDialog):
             self._exporting.start(kind, frames, named, captioned=captioned)
 
     def _show_message(self, message: UserMessage) -> None:
-        self.message.setText(message.text)
+        if message.topic == TOPIC:
+            self.message.setText(message.text)

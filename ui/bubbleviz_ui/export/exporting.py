@@ -16,7 +16,6 @@ from bubbleviz.output import open_mp4, pose_columns
 from bubbleviz.pipeline import FrameOptions
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.view3d.text import text_at
 from bubbleviz_ui.view3d.tools import picture_of
 
@@ -213,7 +212,6 @@ class Exporting(QObject):
 
     changed = Signal()  # An export began or ended
     progressed = Signal(str, float)  # Description of the step, and its completed share
-    notified = Signal(object)  # A `UserMessage`
 
     def __init__(
         self, controller: Controller, view: View, poses: Callable[[], dict[int, PoseRow]]
@@ -300,12 +298,12 @@ class Exporting(QObject):
 
     def _on_done(self, path: Path, done: str) -> None:
         self._end_video()
-        self.notified.emit(UserMessage("notice", done, file=path, topic=TOPIC))
+        self._state.messages.add("notice", done, file=path, topic=TOPIC)
         self.changed.emit()
 
     def _on_refused(self, failed: Failed) -> None:
         self._end_video()
-        self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+        self._state.messages.add("error", failed.message, failed.details, topic=TOPIC)
         self.changed.emit()
 
     def _on_failed(self, failed: Failed) -> None:

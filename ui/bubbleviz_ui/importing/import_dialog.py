@@ -27,7 +27,7 @@ from bubbleviz.progress import Progress
 from bubbleviz.recordings import is_image_folder
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.recording_control import make_folder
-from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.messages import Messages
 from bubbleviz_ui.panels.binding import options
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, remember
@@ -182,19 +182,19 @@ ABOUT = (
 class ImportDialog(QDialog):
     """Non-modal dialog for imports."""
 
-    notified = Signal(object)  # A `UserMessage`
-
     def __init__(
         self,
         parent: QWidget,
         worker: Worker,
+        messages: Messages,
         open_recording: Callable[[Path], None],
         folder: Callable[[], Path],  # Returns the folder of recordings
     ) -> None:
         super().__init__(parent)
         self.setWindowTitle("Import")
         self.setMinimumWidth(WIDTH)
-        self._worker, self._open_recording, self._folder = worker, open_recording, folder
+        self._worker, self._messages = worker, messages
+        self._open_recording, self._folder = open_recording, folder
         self._proposed = ""
         self.source = FileField("A recording", OTHERS)
         self.source.browse.setText("Recording…")
@@ -296,14 +296,14 @@ class ImportDialog(QDialog):
         self._show_outcome(None, failed.message)
         self._show()
         if failed.details or not self.isVisible():  # else only the dialog shows it
-            self.notified.emit(UserMessage("error", failed.message, failed.details, topic=TOPIC))
+            self._messages.add("error", failed.message, failed.details, topic=TOPIC)
 
     def _on_done(self, summary: ConvertSummary) -> None:
         self._show_outcome(summary, "")
         self._show()
         out = Path(summary.out)
         remember("recording", out)
-        self.notified.emit(UserMessage("notice", self.made.text(), file=out, topic=TOPIC))
+        self._messages.add("notice", self.made.text(), file=out, topic=TOPIC)
 
     def _show_outcome(self, summary: ConvertSummary | None, problem: str) -> None:
         self._summary = summary

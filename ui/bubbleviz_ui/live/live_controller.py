@@ -18,7 +18,7 @@ from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import DEFAULT_FOLDER, Recording
 from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
-from bubbleviz_ui.model.messages import OPENING, UserMessage
+from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import RECORDING_SETTINGS
 from bubbleviz_ui.model.source_facts import ConnectionState
 from bubbleviz_ui.model.undo import UndoRecorder
@@ -33,7 +33,6 @@ class LiveController(QObject):
 
     updated = Signal()  # Status of sources and recording may have changed
     changed = Signal()  # Session connected or disconnected
-    notified = Signal(object)  # A `UserMessage`
 
     def __init__(
         self, controller: Controller, pair: SensorPair, view: View, undo: UndoRecorder
@@ -42,7 +41,10 @@ class LiveController(QObject):
         self._controller, self._pair, self.state = controller, pair, controller.state
         self._undo = undo
         self._worker = Worker("live")
-        self.recording, self.publishing = Recording(self._worker), Publishing()
+        self.recording, self.publishing = (
+            Recording(self._worker, self.state.messages),
+            Publishing(self.state.messages),
+        )
         self.connection: Connection | None = None  # While connecting
         self.run: LiveRun | None = None  # While connected
         self._marked: frozenset[int] = frozenset()
@@ -52,7 +54,6 @@ class LiveController(QObject):
         self._timer.timeout.connect(self._on_tick)
         self._update_due = True
         for part in (self.recording, self.publishing):
-            part.notified.connect(self.notified)
             part.changed.connect(self.updated)
         self.publishing.changed.connect(self._update_published_products)
         controller.opened.connect(self._on_opened)
@@ -152,7 +153,7 @@ class LiveController(QObject):
     # -- inside -------------------------------------------------------------------------------
 
     def _on_second_failed(self, failed: Failed) -> None:
-        self.notified.emit(UserMessage("error", failed.message, failed.details))
+        self.state.messages.add("error", failed.message, failed.details)
 
     def _on_tick(self) -> None:
         """Update the status, unless it was updated with a picture, which saves a redraw."""
@@ -192,7 +193,7 @@ class LiveController(QObject):
             if text:
                 found.add(f"{live.place.name}: {text}." if len(sensors) > 1 else f"{text}.")
         for text in sorted(found - self._warnings):
-            self.notified.emit(UserMessage("warning", text))
+            self.state.messages.add("warning", text)
         self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
@@ -214,7 +215,7 @@ class LiveController(QObject):
         self.connection = None
         if self.run is None:
             self._timer.stop()
-        self.notified.emit(UserMessage("error", failed.message, failed.details, topic=OPENING))
+        self.state.messages.add("error", failed.message, failed.details, topic=OPENING)
         self.changed.emit()
 
     def _is_connected_source(self, request: OpenRequest) -> bool:

@@ -15,7 +15,7 @@ from bubbleviz.pipeline import Product
 from bubbleviz.recordings import Message, are_static_poses
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.messages import Messages
 from bubbleviz_ui.model.settings import LOOPBACK
 
 if TYPE_CHECKING:
@@ -30,10 +30,10 @@ class Publishing(QObject):
     """Publishes patch, force, pose and diagnostics of all connected sensors."""
 
     changed = Signal()  # Switched on or off
-    notified = Signal(object)  # A `UserMessage`
 
-    def __init__(self) -> None:
+    def __init__(self, messages: Messages) -> None:
         super().__init__()
+        self._messages = messages
         self.on = False
         self.endpoint = LOOPBACK  # Applied at the next start
         self._publisher: ZenohPublisher | None = None
@@ -88,9 +88,7 @@ class Publishing(QObject):
 
     def _on_refused(self, failed: Failed) -> None:
         self.stop()
-        self.notified.emit(
-            UserMessage("error", f"Not publishing: {failed.message}", failed.details)
-        )
+        self._messages.add("error", f"Not publishing: {failed.message}", failed.details)
 
     def _on_open(self, run: LiveRun, publisher: ZenohPublisher) -> None:
         if not self.on:

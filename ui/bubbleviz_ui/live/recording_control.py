@@ -12,7 +12,7 @@ from bubbleviz.files import free_name
 from bubbleviz.live import Recorder, RecorderStatus
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.messages import MessageKind, UserMessage
+from bubbleviz_ui.model.messages import MessageKind, Messages
 from bubbleviz_ui.shell.file_dialogs import remember
 
 DEFAULT_FOLDER = Path.home() / "bubbleviz-recordings"
@@ -34,15 +34,14 @@ class Recording(QObject):
     """
 
     changed = Signal()  # A recording began or ended
-    notified = Signal(object)  # A `UserMessage`
 
-    def __init__(self, worker: Worker) -> None:
+    def __init__(self, worker: Worker, messages: Messages) -> None:
         super().__init__()
         self.folder = DEFAULT_FOLDER  # Created with the first recording
         self.busy = False  # Recording, or starting
         self._recorder: Recorder | None = None
         self._began = 0.0
-        self._worker = worker
+        self._worker, self._messages = worker, messages
 
     def start(self, recorder: Recorder, path: Path | None = None) -> None:
         """Start recording to a new file, by default in `folder` with the time as its name."""
@@ -101,7 +100,7 @@ class Recording(QObject):
             )
 
     def _notify(self, kind: MessageKind, text: str, file: Path | None = None) -> None:
-        self.notified.emit(UserMessage(kind, text, file=file, topic="recording"))
+        self._messages.add(kind, text, file=file, topic="recording")
 
 
 def new_name(folder: Path) -> Path:

@@ -46,8 +46,17 @@ class Messages(QObject):
         super().__init__(parent)
         self.all: deque[UserMessage] = deque(maxlen=MAX_MESSAGES)  # Oldest first
 
-    def add(self, message: UserMessage) -> None:
-        """Log a message and emit `added`."""
+    def add(
+        self,
+        kind: MessageKind,
+        text: str,
+        details: str = "",
+        *,
+        file: Path | None = None,
+        topic: str = "",
+    ) -> None:
+        """Log a message, with the fields of `UserMessage`, and emit `added`."""
+        message = UserMessage(kind, text, details, file, topic=topic)
         self.all.append(message)
         self.added.emit(message)
 

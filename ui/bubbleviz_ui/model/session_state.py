@@ -11,6 +11,7 @@ from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz_ui.model.frame_history import FrameHistory
+from bubbleviz_ui.model.messages import Messages
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import Badge, ConnectionState, SourceFacts
 from bubbleviz_ui.model.units import UNIT_CHOICES, Units
@@ -32,6 +33,7 @@ class SessionState(QObject):
     def __init__(self, settings: Settings | None = None) -> None:
         super().__init__()
         self.settings = settings or Settings()
+        self.messages = Messages(self)
         self.facts: SourceFacts | None = None  # None until a source is open
         self.frame = self.shown_frame = 0  # Frame at the cursor; frame drawn last
         self.final = True  # Its numbers do not depend on the frames drawn before

@@ -24,7 +24,6 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.wording import count_of
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
@@ -217,7 +216,6 @@ EVERY_MS = 150
 class PosePanel(QWidget):
     """Controls of a `PoseSession`."""
 
-    notified = Signal(object)  # A `UserMessage`
     gizmo = Signal(bool)  # Show or hide the box widget in the view
 
     def __init__(self, state: SessionState, session: PoseSession) -> None:
@@ -388,10 +386,10 @@ class PosePanel(QWidget):
         try:
             count = self.session.export(path, "tum" if form == "tum" else "csv")
         except InputError as error:
-            self.notified.emit(UserMessage("error", str(error), topic="export of poses"))
+            self._state.messages.add("error", str(error), topic="export of poses")
         else:
             text = f"Exported {count_of(count, 'frame')} to {path}"
-            self.notified.emit(UserMessage("notice", text, file=path, topic="export of poses"))
+            self._state.messages.add("notice", text, file=path, topic="export of poses")
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if names & UNIT_CHOICES.keys():

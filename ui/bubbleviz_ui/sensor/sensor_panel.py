@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
 
-from PySide6.QtCore import Signal
 from PySide6.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
@@ -21,7 +20,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.sensor import Sensor, edited, save_sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
@@ -177,8 +175,6 @@ class ValueRow(QWidget):
 class SensorPanel(QWidget):
     """Values of the sensor in use."""
 
-    notified = Signal(object)  # A `UserMessage`
-
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
         self._state, self._opening = state, controller.opening
@@ -312,9 +308,9 @@ class SensorPanel(QWidget):
         try:
             save_sensor(copy, path)
         except InputError as error:
-            self.notified.emit(UserMessage("error", str(error), topic="sensor file"))
+            self._state.messages.add("error", str(error), topic="sensor file")
             return
-        self.notified.emit(UserMessage("notice", f"Saved {path}", file=path, topic="sensor file"))
+        self._state.messages.add("notice", f"Saved {path}", file=path, topic="sensor file")
         self._end()
         self._opening.open_sensor_file(path)
 
@@ -339,7 +335,7 @@ class SensorPanel(QWidget):
         self.difference.setToolTip(difference and f"{self._opened_file}: {difference}")
         self.difference.setVisible(bool(difference))
         if difference:
-            self.notified.emit(UserMessage("warning", f"{self._opened_file}: {difference}"))
+            self._state.messages.add("warning", f"{self._opened_file}: {difference}")
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if names & UNIT_CHOICES.keys():

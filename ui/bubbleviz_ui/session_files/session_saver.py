@@ -18,7 +18,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import SYNTHETIC, Source, sensor_for
 from bubbleviz_ui.engine.worker import Failed
-from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
+from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import USER_SETTINGS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.session_files.session_file import (
@@ -97,7 +97,7 @@ class SessionSaver(QObject):
             user = read_user_file(file)
         except InputError as error:
             user = UserFile()
-            self._notify("error", str(error))
+            self._window.messages.add("error", str(error))
         self.recent, self.hinted = user.recent, user.hinted
         self._window.hint.setVisible(not self.hinted)
         self.recent_changed.emit()
@@ -160,17 +160,17 @@ class SessionSaver(QObject):
         try:
             write_atomically(path, portable(self.snapshot(path), path))
         except InputError as error:
-            self._notify("error", str(error), topic="session")
+            self._window.messages.add("error", str(error), topic="session")
         else:
             self._remember(str(path.absolute()))
-            self._notify("notice", f"Saved {path}", path, topic="session")
+            self._window.messages.add("notice", f"Saved {path}", file=path, topic="session")
 
     def open(self, path: Path) -> None:
         """Open a session file; parts that cannot be opened give messages."""
         try:
             saved = read_session(path)
         except InputError as error:
-            self._notify("error", str(error), topic=OPENING)
+            self._window.messages.add("error", str(error), topic=OPENING)
             return
         self.restore(saved, path)
 
@@ -282,7 +282,7 @@ class SessionSaver(QObject):
             self.save()
         except (InputError, OSError) as error:
             self._timer.stop()
-            self._notify("error", f"Autosave stopped: {error}")
+            self._window.messages.add("error", f"Autosave stopped: {error}")
 
     # -- inside -------------------------------------------------------------------------------
 
@@ -402,13 +402,8 @@ class SessionSaver(QObject):
     def _report_problems(self) -> None:
         if self._problems:
             text = " and ".join(self._problems)
-            self._notify("warning", f"{self._origin}{text}; the rest is restored.")
+            self._window.messages.add("warning", f"{self._origin}{text}; the rest is restored.")
             self._problems = []
-
-    def _notify(
-        self, kind: MessageKind, text: str, file: Path | None = None, topic: str = ""
-    ) -> None:
-        self._window.messages.add(UserMessage(kind, text, file=file, topic=topic))
 
     def _remember(self, path: str) -> None:
         recent = (path, *(other for other in self.recent if other != path))[:MAX_RECENT]

@@ -13,7 +13,7 @@ from PySide6.QtGui import QImageWriter
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
 from bubbleviz.files import free_name
-from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.messages import Messages
 
 Answer = Literal["save", "discard", "cancel"]
 SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
@@ -149,12 +149,13 @@ def _folders() -> QSettings:
     return QSettings("bubbleviz", "folders")
 
 
-def picture_saved(path: Path, *, written: bool) -> UserMessage:
+def tell_of_picture(messages: Messages, path: Path, *, written: bool) -> None:
     """Message about a picture that was written, or could not be."""
     if written:
-        return UserMessage("notice", f"Saved {path}", file=path, topic="picture")
-    problem = f"{path}: cannot be written; choose another place"
-    return UserMessage("error", problem, topic="picture")
+        messages.add("notice", f"Saved {path}", file=path, topic="picture")
+    else:
+        problem = f"{path}: cannot be written; choose another place"
+        messages.add("error", problem, topic="picture")
 
 
 def picture_format(path: Path) -> str:

@@ -17,7 +17,6 @@ import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.source import RECORDINGS
-from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
@@ -315,7 +314,7 @@ class Menus:
         self._seek_found(frame, "No contact")
         if frame is not None and missing:
             text = SO_FAR.format(count_of(missing, "frame"))
-            self._window.messages.add(UserMessage("notice", text))
+            self._window.messages.add("notice", text)
 
     @property
     def _frames_to_analyse(self) -> int:
@@ -326,7 +325,7 @@ class Menus:
     def _seek_found(self, frame: int | None, nothing: str) -> None:
         if frame is None:
             text = SO_FAR_NONE.format(nothing) + (ANALYSE if self._frames_to_analyse else "")
-            self._window.messages.add(UserMessage("notice", text))
+            self._window.messages.add("notice", text)
         else:
             self._window.state.seek(frame)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from operator import itemgetter
 from pathlib import Path
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
     QButtonGroup,
@@ -27,7 +27,7 @@ from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.panels.binding import bind, control, form, tool_button
 from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, picture_saved
+from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, tell_of_picture
 from bubbleviz_ui.view3d.object_layers import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -55,8 +55,6 @@ WIDTH = 286
 
 class ViewTools(QWidget):
     """Controls of the 3-D view other than layers."""
-
-    notified = Signal(object)  # A `UserMessage`
 
     def __init__(
         self, state: SessionState, controller: Controller, view: View, scene: Scene
@@ -225,7 +223,7 @@ class ViewTools(QWidget):
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         written = QPixmap.fromImage(image).save(str(path), picture_format(path))
-        self.notified.emit(picture_saved(path, written=written))
+        tell_of_picture(self._state.messages, path, written=written)
 
     def _choose_file(self) -> None:
         title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"
