@@ -17,7 +17,7 @@ from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import ComparedSetting, Settings
 from bubbleviz_ui.model.undo import LAYOUT
 from bubbleviz_ui.model.units import UNIT_CHOICES
-from bubbleviz_ui.shell.theme import GAP
+from bubbleviz_ui.shell.theme import NEUTRAL
 
 CHANGES = {
     "layers": frozenset({"rim"}),
@@ -259,7 +259,7 @@ def test_undo_of_a_dropped_object_and_of_compared_settings(drive, tmp_path, monk
     assert driver.window.undo_stack.index() == 3
     driver.wait_until_shown()
     drawn = driver.window.scene.object  # drawn as not found yet
-    assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == GAP
+    assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == NEUTRAL
     driver.undo()
     driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
     driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
