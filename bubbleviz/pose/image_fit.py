@@ -17,7 +17,9 @@ from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Directions, Precision
 
-_LEAST_SHARE = 0.3  # of information that is not by errors of derivatives
+_LEAST_SHARE = 0.3
+"""Least share of the information that is not by errors of derivatives: two presses may differ by
+chance. Chosen on a moving nut at 1 % of noise."""
 
 
 @dataclass(frozen=True)
