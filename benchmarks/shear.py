@@ -182,13 +182,13 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
         flows.append(seen.flow)
         frame = Frame(k, k / 30.0, seen.depth_m)
         begun = time.process_time()
-        alone.process(frame, _DEPTH)
+        by_depth = alone.process(frame, _DEPTH)
         between = time.process_time()
         result = both.process(frame, _SHEAR)
         depth_ms, whole_ms = 1e3 * (between - begun), 1e3 * (time.process_time() - between)
         if motion is None:
             continue
-        trial = judged(result, truth, model.mesh)
+        trial = judged(result, by_depth, truth, model.mesh)
         yield replace(
             trial,
             object_name=name,
@@ -202,9 +202,9 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
         )
 
 
-def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
-    """Errors of a frame's traction and slip; the caller fills the other fields."""
-    estimate, traction = result.estimate, result.traction
+def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
+    """Errors of a frame's traction and slip, and by depth alone; the caller fills the others."""
+    estimate, traction = by_depth.estimate, result.traction
     if estimate is None or traction is None:
         raise ValueError("the result lacks the estimate or the traction")
     alone = np.full(3, np.nan) if estimate.force_n is None else estimate.force_n
@@ -212,7 +212,7 @@ def judged(result: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
     difference = traction.force_n - true
     length = float(np.linalg.norm(traction.force_n))
     cosine = float(np.clip(traction.force_n @ true / (length * size), -1.0, 1.0))
-    center, patch = truth.center_m, result.trusted_patch
+    center, patch = truth.center_m, by_depth.trusted_patch
     center_alone = np.full(3, np.nan) if patch is None else patch.center_of_pressure_m
     twisted = truth.torque_nm(center)[2]
     found = traction.torque_about(center)[2]
