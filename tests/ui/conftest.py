@@ -44,9 +44,12 @@ def qapp():
 
 
 @pytest.fixture(autouse=True)
-def few_sampled_frames(monkeypatch):
+def few_sampled_frames():
     """Few frames are solved ahead for the scales: of the press, two are in contact."""
-    monkeypatch.setattr(sensor_client, "SAMPLED_FRAMES", 4)
+    # A patch of its own: that of a test, which may hold the window, is undone before `no_leaks`.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensor_client, "SAMPLED_FRAMES", 4)
+        yield
 
 
 @pytest.fixture
