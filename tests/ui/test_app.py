@@ -64,9 +64,16 @@ def png_size(path):
 
 def test_screenshot_shows_the_whole_window(tmp_path):
     out = tmp_path / "frame.png"
-    program = f"screenshot(small_sensor(), None, 75, Path({str(out)!r}))"
+    program = f"""
+    from bubbleviz_ui.engine import controller
+    from bubbleviz_ui.window_session import WindowSession
+    controller.COLD_SOLVE_DELAY_MS = 3000
+    save = WindowSession.save
+    WindowSession.save = lambda self, out: (print(self.state.final), save(self, out))
+    screenshot(small_sensor(), None, 75, Path({str(out)!r}))"""
     done = run(program, QT_QPA_PLATFORM="offscreen")  # as servers set it; it has no OpenGL
     assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True"]  # its numbers are final
     assert png_size(out) == (1280, 800)
     assert len(pressure_coloured(as_pixels(QImage(str(out)))[:700, :1000])) > 200
 

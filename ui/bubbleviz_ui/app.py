@@ -85,6 +85,8 @@ def screenshot(
     ):
         session.window.resize(*size)
         session.window.show()
+        # numbers of a picture do not depend on frames before
+        session.wait_for(lambda: session.controller.cold_solved, "solving the frame")
         session.wait_until_drawn()
         session.save(out)
 
