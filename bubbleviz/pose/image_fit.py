@@ -17,10 +17,6 @@ from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Directions, Precision
 
-_LEAST_SHARE = 0.3
-"""Least share of the information that is not by errors of derivatives: two presses may differ by
-chance. Chosen on a moving nut at 1 % of noise."""
-
 
 @dataclass(frozen=True)
 class ImageStep:
@@ -42,8 +38,6 @@ class PredictedImage:
     every: int  # number of candidate pixels that each used pixel represents
     expected_m: np.ndarray  # (b,), residuals of these pixels at the pose, as of `RangeObserver`
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
-    # (b, 6), the same by the press before this one, where it has the pixels; its errors differ
-    earlier: np.ndarray
     on_face: np.ndarray  # (b,) bool, pixels of membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
     area_m2: float  # of the membrane in these pixels
@@ -51,18 +45,6 @@ class PredictedImage:
     def at(self, T_B_O: np.ndarray) -> np.ndarray:
         """Expected residuals at a nearby pose, (b,)."""
         return self.expected_m + self.jacobian @ motion_between(self.T_B_O, T_B_O, self.center)
-
-    def columns(
-        self, jacobian: np.ndarray, center: np.ndarray, directions: Directions
-    ) -> np.ndarray:
-        """Derivatives (b, 6 + q) by motions about another centre, and by model errors.
-
-        `jacobian` (b, 6) is by motions about the own centre.
-        """
-        J = jacobian @ about(center, self.center)
-        off = J @ directions.motions[:, directions.determined]
-        off[self.on_face] = 0.0
-        return np.column_stack([J, off, self.rounding])
 
     def error_of(self, before: PredictedImage) -> np.ndarray:
         """Error (b,) of an earlier linear model at this pose; 0 in pixels that it does not have."""
@@ -127,27 +109,25 @@ class ImageFit:
         residual = change_m[predicted.pixel] - predicted.at(T_B_O)
         valid = np.isfinite(residual)
         residual = residual[valid]
-        J, earlier = (
-            predicted.columns(jacobian, contact.center, directions)[valid]
-            for jacobian in (predicted.jacobian, predicted.earlier)
-        )
+        J = predicted.jacobian[valid] @ about(contact.center, predicted.center)
+        off = J @ directions.motions[:, directions.determined]
+        off[predicted.on_face[valid]] = 0.0
+        off = np.column_stack([off, predicted.rounding[valid]])
+        J = np.hstack([J, off])
         weight = predicted.every * self._options.trust * self._weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
-        known_off = np.full(J.shape[1] - 6, self._options.model_deviation_m)
+        known_off = np.full(off.shape[1], self._options.model_deviation_m)
         known_off[-1] = self._options.rounding_m
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
-        own, other = (columns[:, :6] - columns[:, 6:] @ gain.T for columns in (J, earlier))
-        kept = _without_errors((own.T * weight) @ own, (own.T * weight) @ other)
-        information, g = kept @ information @ kept.T, kept @ g
         per_m4 = float(weight.sum()) / predicted.area_m2
         persistent = np.linalg.inv(information + START_INFORMATION)
         persistent *= per_m4 / self._precision.of_model
         if before is not None and predicted is not before:
             pushed = J.T @ (weight * predicted.error_of(before)[valid])
-            pushed = kept @ (pushed[:6] - gain @ pushed[6:])
+            pushed = pushed[:6] - gain @ pushed[6:]
             by_frame = np.linalg.inv(information + known)
             error = by_frame @ pushed
             squared = float(error @ np.linalg.solve(by_frame + persistent, error))
@@ -191,7 +171,7 @@ class ImageFit:
         if self.covers(T_B_O, contact, valid_m):
             return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
-        self._predicted = None if press is None else self._rendered(press, contact, self._predicted)
+        self._predicted = None if press is None else self._rendered(press, contact)
         self._pressed_at = T_B_O
         return self._predicted
 
@@ -202,9 +182,7 @@ class ImageFit:
         way = motion_between(self._pressed_at, T_B_O, contact.center)
         return way_at(contact.radius_m, way) < valid_m
 
-    def _rendered(
-        self, press: Press, contact: ContactPoints, before: PredictedImage | None
-    ) -> PredictedImage:
+    def _rendered(self, press: Press, contact: ContactPoints) -> PredictedImage:
         """The membrane and its derivatives in the camera image."""
         mesh = press.part.mesh
         away = np.linalg.norm(self._places - contact.rest_center, axis=1)
@@ -222,10 +200,6 @@ class ImageFit:
         slopes = np.concatenate([press.slopes, press.rounding[None]])
         moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])
         J = np.einsum("qbi,bi->bq", moved, facet)
-        earlier = J[:, :6].copy()
-        if before is not None:
-            _, own, others = np.intersect1d(pixel, before.pixel, True, return_indices=True)
-            earlier[own] = before.jacobian[others] @ about(press.center, before.center)
         return PredictedImage(
             T_B_O=press.T_B_O,
             center=press.center,
@@ -233,23 +207,7 @@ class ImageFit:
             every=every,
             expected_m=hits.range_m - self._rest_m[pixel],
             jacobian=J[:, :6],
-            earlier=earlier,
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
             area_m2=float(np.linalg.norm(vectors[np.unique(hits.triangle)], axis=1).sum()),
         )
-
-
-def _without_errors(own: np.ndarray, cross: np.ndarray) -> np.ndarray:
-    """Factor (6, 6) of the gradient that takes errors of the derivatives out of the information.
-
-    Errors of derivatives J, by facets, count in JᵀWJ (`own`), but do not pull: the pose would
-    follow too slowly, and seem too well known (errors in variables). In JᵀWJ' (`cross`), with those
-    of another press, they do not count.
-    """
-    little = 1e-3 * START_INFORMATION  # keeps a direction without information as it is
-    root = np.linalg.cholesky(own + little)
-    both = 0.5 * (cross + cross.T) + little
-    share, basis = np.linalg.eigh(np.linalg.solve(root, np.linalg.solve(root, both).T))
-    share = np.clip(share, _LEAST_SHARE, 1.0)
-    return np.asarray((root @ basis * share) @ np.linalg.solve(root.T, basis).T)

@@ -256,25 +256,3 @@ def test_failed_press_is_not_retried_nearby(pipeline, rubber, contact):
     assert fit.predicted(pose(), lost, valid_m=1e-3) is None
     assert fit.predicted(pose(x=0.0032), contact, valid_m=1e-3) is None  # as nothing has changed
     assert fit.predicted(pose(x=0.005), contact, valid_m=1e-3) is not None
-
-
-def test_a_turned_nut_is_followed(pipeline, rubber):
-    """Errors of derivatives by the mesh do not hide a turn that a finer mesh shows."""
-    nut = study_object("hex_nut")
-    source = SyntheticSource(pipeline.model.sensor, nut, pose()[None], model="linear")
-    result = pipeline.process(source[0], frozenset({"estimate", "patch"}))
-    contact = contact_points(pipeline.mesh, result.estimate, result.patch)
-    finer = PressOptions(spacing_edges=0.25, finer_m=4e-3, max_steps=60)
-    look = image_fit(pipeline, pressed(pipeline, rubber, "hex_nut", finer))
-    fit = image_fit(pipeline, pressed(pipeline, rubber, "hex_nut"))
-    every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
-    found, turns = [], (-0.06, 0.08)
-    for turn in turns:
-        seen = look.predicted(pose(turn=turn), contact)
-        change = np.full(len(pipeline.estimator.observer.pixel), np.nan)
-        change[seen.pixel] = seen.expected_m
-        fit.reset()
-        fit.predicted(pose(x=0.0036, turn=-0.1), contact)  # the earlier press
-        step = fit.step(change, contact, pose(), every, np.eye(6), valid_m=0.0)
-        found.append(np.linalg.solve(step.information, step.gradient)[5])
-    assert 0.42 < np.diff(found) / np.diff(turns) < 1.2
