@@ -170,7 +170,7 @@ class Iteration:
         newton, data = self._newton, self._data
         while self._steps < _MAX_STEPS and self._stalled < _MAX_STALLED:
             self._steps += 1
-            observed = self._observed()
+            observed = self._linearised()
             if np.abs(self._state.x - newton.mesh.nodes).max() > newton.length_m:
                 break
             first = self._warm and self._steps == 1 and not self._noises
@@ -192,7 +192,7 @@ class Iteration:
             self._take(step, observed)
             converged = self._has_converged(step, observed, first, fit_image)
             searched = rounds > 0 or no_contact or bool(step.contact.pressure.any())
-            if self._noise_agrees(step, observed, converged, searched):
+            if self._update_noise(step, observed, converged, searched):
                 return self._result(step, observed)
             if not converged and self._large_steps == _MAX_LARGE_STEPS:
                 break
@@ -207,8 +207,11 @@ class Iteration:
     def _observe(self, *, by_flow: bool) -> LinearisedFrame:
         return self._newton.observe(self._data, self._state, self._view, by_flow)
 
-    def _observed(self) -> LinearisedFrame:
-        """The frame at the present shape. Counts the large steps that hardly reduced the misfit."""
+    def _linearised(self) -> LinearisedFrame:
+        """The frame, linearised at the present shape.
+
+        Counts the consecutive large steps that hardly reduced the misfit.
+        """
         by_flow = self._near and bool(self._state.pressure.any())
         observed = self._following or self._observe(by_flow=by_flow)
         self._following = None
@@ -241,7 +244,11 @@ class Iteration:
     def _has_converged(
         self, step: Step, observed: LinearisedFrame, first: bool, fit_image: bool
     ) -> bool:
-        """Whether a step was the last one needed, at this support and noise."""
+        """Whether a step was the last one needed, at this support and noise.
+
+        Also judges whether the shape is near the solution, and whether the image shows the membrane
+        outside the contact.
+        """
         motion, newton = step.normal_motion_m, self._newton
         converged = self._near and step.balanced and motion <= self._converged_m
         self._settling = self._settling + 1 if converged else 0
@@ -257,12 +264,13 @@ class Iteration:
             converged = converged and not step.contact.pressure.any()
         return converged
 
-    def _noise_agrees(
+    def _update_noise(
         self, step: Step, observed: LinearisedFrame, converged: bool, searched: bool
     ) -> bool:
-        """Whether the noise that was assumed is that of the residual; else sets the next step.
+        """Take the noise factors of the residual; whether they are those that the step assumed.
 
-        `searched`: contact was searched for, or there is some.
+        If not, also decides whether the next step selects the support. `searched`: contact was
+        searched for, or there is some.
         """
         complete = self._selecting and step.contact.complete
         done = converged and (complete or self._selections > _MAX_SELECTIONS)

@@ -113,7 +113,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         _COVARIANCE: _known_covariance(estimate),
     }
     if not estimate.trusted:
-        for key in row.keys() & COLUMNS.keys() - _KNOWN_WITHOUT_DATA:
+        for key in row.keys() & {*COLUMNS, _COVARIANCE} - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row | _shear_row(result)
 

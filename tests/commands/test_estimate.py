@@ -296,9 +296,10 @@ def test_result_with_an_unexpected_number_of_frames(small, tmp_path):
 def test_a_frame_without_data_has_no_numbers():
     (result,) = fake_results(1, 3, (4, 5))
     assert result.estimate is not None
-    row = summary_row(replace(result, estimate=replace(result.estimate, status="no_data")))
+    failed = replace(result.estimate, status="no_data", wrench_covariance=np.eye(6))
+    row = summary_row(replace(result, estimate=failed))
     assert {"wrench_n", "force_sigma_n"} <= set(row) <= {*COLUMNS, "wrench_covariance"}
-    assert np.isnan(row["force_n"]).all()
+    assert np.isnan(row["force_n"]).all() and np.isnan(row["wrench_covariance"]).all()
     assert row["force_n"].shape == (3,)
     assert row["frame"] == 0
     assert math.isnan(row["patch_area_m2"])

@@ -85,7 +85,7 @@ def screenshot(
     ):
         session.window.resize(*size)
         session.window.show()
-        # numbers of a picture do not depend on frames before
+        # so that its numbers do not depend on the frames solved before
         session.wait_for(lambda: session.controller.cold_solved, "solving the frame")
         session.wait_until_drawn()
         session.save(out)
