@@ -233,9 +233,12 @@ class Pipeline:
         self, frame: Frame, state: Any, flow: MeasuredFlow | None = None
     ) -> tuple[Estimate, Any]:
         measured = frame.depth_m, frame.gas_pressure_pa, state, frame.gas_sigma_pa
-        if flow is None:  # solvers of other packages may not know it
-            return self.estimator.estimate(*measured)
-        return self.estimator.estimate(*measured, flow=flow)
+        known: dict[str, Any] = {}  # solvers of other packages may not know these
+        if flow is not None:
+            known["flow"] = flow
+        if frame.image_errors is not None and self.estimator.solver_name in (RUBBER, LINEAR):
+            known["image_errors"] = frame.image_errors
+        return self.estimator.estimate(*measured, **known)
 
     def prepare(self, products: frozenset[Product]) -> None:
         """Build the solvers in advance, so that the first frame is not delayed."""

@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.recordings import Frame, Texture
 
 if TYPE_CHECKING:
-    from bubbleviz.camera import FlowField
+    from bubbleviz.camera import FlowField, ImageErrors
     from bubbleviz.diagnostics import Inspection
     from bubbleviz.membrane import MembraneMesh
 
@@ -126,9 +126,8 @@ class Estimate:
     seen_share : float
         Share of the contact's area that the camera sees; NaN without contact, and for the paper's
         solver. The rest of the force is inferred from the membrane around it.
-    image_errors : (4,) array or None
-        Errors of the entire depth image since calibration, see `bubbleviz.camera.IMAGE_ERRORS`;
-        None if not estimated.
+    image_errors : ImageErrors or None
+        Errors of the entire depth image since calibration; None if not known.
     flow : FlowFit or None
         None where no optical flow of a contact was used.
     """
@@ -152,7 +151,7 @@ class Estimate:
     reason: str = ""
     fine: FineContact | None = None
     seen_share: float = np.nan
-    image_errors: np.ndarray | None = None
+    image_errors: ImageErrors | None = None
     flow: FlowFit | None = None
 
     @property

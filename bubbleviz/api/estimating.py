@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 
 import bubbleviz
-from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
+from bubbleviz.api.estimator import FrameSolver, patch_options, solved
 from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
@@ -20,7 +20,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_existing
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
-from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     AUTO,
@@ -36,6 +35,7 @@ from bubbleviz.recordings import (
 from bubbleviz.result import TRUSTED, PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
+from bubbleviz.zeros import Zeros, zeros_of
 
 if TYPE_CHECKING:
     from bubbleviz.live import LiveStream
@@ -172,12 +172,12 @@ def estimate(
         texture, products = None, _PRODUCTS
         if shear:
             texture, products = watch_texture(chosen, pipeline), products | SHEAR
-        zero, run = _new_run(chosen, name, pipeline, out, **solving)
+        zeros, run = _new_run(chosen, name, pipeline, out, **solving)
         run.context |= {
             "solver": run.provenance["solver"],
             "kappa": kappa,
             "texture": texture,
-            "gas_zero": None if zero is None else zero.words,
+            "gas_zero": None if zeros.gas is None else zeros.gas.words,
         }
         any_depth, equal = False, EqualImages()
         with ExitStack() as stack:
@@ -186,7 +186,7 @@ def estimate(
                 products |= {"pixel_mask"}
                 files = run.files(out, csv, overwrite=overwrite, frames=len(chosen))
                 write = stack.enter_context(files)
-            frame_solver = FrameSolver(pipeline, products, options, zero)
+            frame_solver = FrameSolver(pipeline, products, options, zeros)
             for result in solved(chosen, frame_solver, progress):
                 equal.take(result.frame.depth_m)
                 any_depth = any_depth or has_returns(result.frame.depth_m)
@@ -298,10 +298,10 @@ def track(
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
         pipeline.track(obj, initial_pose)
-        zero, run = _new_run(chosen, name, pipeline, out, **solving)
+        zeros, run = _new_run(chosen, name, pipeline, out, **solving)
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
-        frame_solver = FrameSolver(pipeline, products, zero=zero)
+        frame_solver = FrameSolver(pipeline, products, zeros=zeros)
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
         _add_warnings(run, chosen, frame_solver)
@@ -391,22 +391,24 @@ def _new_run(
     solver: str | None,
     friction: float | None,
     zero_gas: bool,
-) -> tuple[PressureZero | None, Run]:
-    """Zero of the gas pressure, and a run with context and provenance but no frames yet."""
-    zero = recorded_zero(frames.source, pipeline) if zero_gas else None
+) -> tuple[Zeros, Run]:
+    """Zeros of the recording, and a run with context and provenance but no frames yet."""
+    zeros = zeros_of(frames.source, pipeline)
+    if not zero_gas:
+        zeros = zeros._replace(gas=None)
     provenance = {
         "sensor_toml": sensor_to_toml(pipeline.model.sensor),
         "version": bubbleviz.__version__,
         "solver": solver or pipeline.estimator.solver_name,
     }
-    if zero is not None and zero.offset_pa is not None:
-        provenance["gas_pressure_offset_pa"] = f"{zero.offset_pa}"
+    if zeros.gas is not None and zeros.gas.offset_pa is not None:
+        provenance["gas_pressure_offset_pa"] = f"{zeros.gas.offset_pa}"
     context = {
         "recording": shown_name(frames.source),
         "sensor": sensor_name,
         "out": None if out is None else str(out),
     }
-    return zero, Run(pipeline.model, context, provenance)
+    return zeros, Run(pipeline.model, context, provenance)
 
 
 def _add_warnings(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:

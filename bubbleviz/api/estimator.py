@@ -20,13 +20,13 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
-from bubbleviz.pressure_zero import PressureZero, zero_of, zeroed
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, Frame, FrameSource, gas_warning, has_returns, metres
+from bubbleviz.recordings import AUTO, Frame, gas_warning, has_returns, metres
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, contradiction, load_sensor, with_colour_delay
 from bubbleviz.wording import count_of
+from bubbleviz.zeros import ImageZero, PressureZero, Zeros
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
@@ -124,9 +124,11 @@ class Estimator:
             from bubbleviz.shear import PassingTexture  # needs OpenCV
 
             texture = PassingTexture(pipeline)
-        zero = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
+        gas = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
-        self.solver = FrameSolver(pipeline, products, self._options, zero, texture)
+        self.solver = FrameSolver(
+            pipeline, products, self._options, Zeros(gas, ImageZero()), texture
+        )
         self._count, self._first_stamp_ns, self._unit_known = 0, 0, False
 
     def update(
@@ -248,7 +250,7 @@ class Estimator:
 class FrameSolver:
     """Solves frames one after the other, for `Estimator`, recordings and streams.
 
-    `zero` corrects the gas pressure; `texture` adds optical flow.
+    `zeros` correct gas pressure and depth image; `texture` adds optical flow.
     """
 
     def __init__(
@@ -256,11 +258,12 @@ class FrameSolver:
         pipeline: Pipeline,
         products: frozenset[Product] = PRODUCTS,
         options: FrameOptions | None = None,
-        zero: PressureZero | None = None,
+        zeros: Zeros | None = None,
         texture: PassingTexture | None = None,
     ) -> None:
         pipeline.prepare(products)  # set-up is not part of the first frame's time
-        self.pipeline, self.zero, self.texture = pipeline, zero, texture
+        self.pipeline, self.texture = pipeline, texture
+        self.zeros = zeros or Zeros(None, ImageZero())
         self._products, self._options = products, options
         self._measured_pa: float | None = None
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
@@ -271,13 +274,13 @@ class FrameSolver:
         """The products of the next frame."""
         self._measured_pa = self._measured_pa or frame.gas_pressure_pa
         with self._blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
-            if self.zero is not None:
-                frame = zeroed(frame, self.zero, self.pipeline)
+            frame = self.zeros.zeroed(frame, self.pipeline)
             result = self.pipeline.process(frame, self._products, self._options)
+            self.zeros.image.follow(result, self.pipeline)
             if self.texture is not None:
                 self.texture.take(result)
         if result.estimate is not None and result.estimate.image_errors is not None:
-            self._image_errors.append(result.estimate.image_errors)
+            self._image_errors.append(result.estimate.image_errors.mean)
         friction = _least_friction(result)
         if friction > self.pipeline.options.friction:
             self._frames_over += 1
@@ -311,11 +314,11 @@ class FrameSolver:
 
     def sensor_warning(self, where: str) -> str:
         """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
-        known_pa = self.pipeline.model.gas.P0
-        if self.zero is None or self.zero.rest_pa is None:
+        known_pa, zero = self.pipeline.model.gas.P0, self.zeros.gas
+        if zero is None or zero.rest_pa is None:
             gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
         else:
-            gas = gas_warning(self.zero.rest_pa, known_pa, f"without contact in the {where}")
+            gas = gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
         file = contradiction(self.pipeline.model.sensor)
         return "; ".join(filter(None, (file, gas, _camera_warning(self.pipeline, where))))
 
@@ -325,14 +328,6 @@ def patch_options(kappa: float | None) -> FrameOptions:
     if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
         raise InputError(f"--kappa {kappa:g}: give a finite number of 0 or more")
     return FrameOptions(kappa, fine_contact=kappa is None)
-
-
-def recorded_zero(source: FrameSource, pipeline: Pipeline) -> PressureZero | None:
-    """Zero of the gas pressure from a recording, fixed for all of its frames."""
-    zero = zero_of(source, pipeline)
-    if zero is not None:
-        zero.restore(zero.rest_pa, waiting=False)
-    return zero
 
 
 def solved(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> Iterator[Result]:

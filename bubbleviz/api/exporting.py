@@ -13,7 +13,7 @@ from bubbleviz.api.estimating import (
     pipeline_for,
     watch_texture,
 )
-from bubbleviz.api.estimator import FrameSolver, patch_options, recorded_zero, solved
+from bubbleviz.api.estimator import FrameSolver, patch_options, solved
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
@@ -23,6 +23,7 @@ from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Recording
 from bubbleviz.wording import count_of
+from bubbleviz.zeros import zeros_of
 
 
 @dataclass(frozen=True)
@@ -119,8 +120,8 @@ def export_frames(
             temporary.mkdir()
         exporters = plan.exporters(pipeline, temporary)
         products = besides.union(*(each.products for each in exporters))
-        zero = recorded_zero(frames.source, pipeline) if "estimate" in stages(products) else None
-        for result in solved(frames, FrameSolver(pipeline, products, options, zero), progress):
+        zeros = zeros_of(frames.source, pipeline) if "estimate" in stages(products) else None
+        for result in solved(frames, FrameSolver(pipeline, products, options, zeros), progress):
             for each in exporters:
                 each.add(result)
         for each in exporters:

@@ -209,7 +209,7 @@ def _watch(
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
-    stream, zero, texture = watcher.stream, watcher.solver.zero, watcher.solver.texture
+    stream, zero, texture = watcher.stream, watcher.solver.zeros.gas, watcher.solver.texture
     pipeline = watcher.solver.pipeline
     statuses: Counter[str] = Counter()
     max_force_n: float | None = None

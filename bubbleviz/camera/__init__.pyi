@@ -15,13 +15,16 @@ from .flow_observer import (
     PinnedPoints as PinnedPoints,
     ShapeFlow as ShapeFlow,
 )
+from .image_errors import (
+    IMAGE_ERRORS as IMAGE_ERRORS,
+    ImageErrors as ImageErrors,
+)
 from .intrinsics import (
     DepthCamera as DepthCamera,
     DistortionModel as DistortionModel,
     Intrinsics as Intrinsics,
 )
 from .observer import (
-    IMAGE_ERRORS as IMAGE_ERRORS,
     MAD as MAD,
     UPPER_95 as UPPER_95,
     BlockSquares as BlockSquares,

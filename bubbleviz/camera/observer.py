@@ -74,11 +74,6 @@ def median(values: np.ndarray) -> np.ndarray:
     return middle
 
 
-IMAGE_ERRORS = ("offset", "tilt to the right", "tilt downwards", "scale")
-"""Errors of a whole depth image that change with a camera's temperature or its mounting: an offset,
-in m; offsets that grow with the tangent of the angle off the optical axis, in m; and a share of the
-depth."""
-
 _HUBER = 1.345
 """Residual in σ beyond which a pixel has less weight: 95 % efficient on Gaussian noise."""
 

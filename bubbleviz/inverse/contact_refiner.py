@@ -176,7 +176,7 @@ class ContactRefiner:
         measured, view, response = observer.measure(depth_m), None, None
         off_m = np.zeros(observer.blocks)
         if estimate.image_errors is not None:
-            off_m = observer.image_errors @ estimate.image_errors
+            off_m = observer.image_errors @ estimate.image_errors.mean
         for _ in range(_STEPS):
             view = observer.around(x, view)
             expected = view.model_m + off_m

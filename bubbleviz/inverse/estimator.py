@@ -7,7 +7,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from bubbleviz.camera import MeasuredFlow, RangeObserver
+from bubbleviz.camera import ImageErrors, MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import smoothness
 from bubbleviz.inverse.friction import FRICTION
@@ -182,6 +182,7 @@ class Estimator:
         start: Start | None = None,
         gas_sigma_pa: float = 0.0,
         flow: MeasuredFlow | None = None,
+        image_errors: ImageErrors | None = None,
     ) -> tuple[Estimate, Start]:
         """Estimate of one frame, and the warm start of the next one.
 
@@ -197,6 +198,8 @@ class Estimator:
             Standard deviation of the zero of the gas pressure, Pa.
         flow : MeasuredFlow, optional
             Of the colour image of the same moment; the membrane must be the exact one.
+        image_errors : ImageErrors, optional
+            Of the depth image, as known from images without contact.
         """
         start, newton, behind = start or Start(), self._newton, self.bubble.gas
         if gas_sigma_pa:
@@ -204,20 +207,40 @@ class Estimator:
         gas = behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
             return no_estimate(self.mesh, "implausible", beyond), Start()
-        data = FrameData(self.observer.measure(depth_m), gas, flow)
+        data = FrameData(self.observer.measure(depth_m), gas, flow, image_errors)
+        return self._solve_frame(newton, data, start)
+
+    def _solve_frame(
+        self, newton: GaussNewton, data: FrameData, start: Start
+    ) -> tuple[Estimate, Start]:
+        """Estimate and next warm start; without the known image errors if these do not fit."""
         try:
             answer = Iteration(newton, data, start).solve()
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             answer = "not_converged"
+        doubt = "" if isinstance(answer, str) else self._doubt(answer)
+        if data.image_errors is not None and (
+            isinstance(answer, str) or doubt or answer.image_changed
+        ):
+            return self._solve_frame(newton, replace(data, image_errors=None), start)
         if isinstance(answer, str):
             return no_estimate(self.mesh, answer, STATUS_REASONS[answer]), Start()
-        doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
-        doubt = doubt or reason_against_gas(answer.step.state.gas, behind, measured=False)
-        if doubt := doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m):
+        if doubt:
             return no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m), Start()
         state, tangent = answer.step.state, answer.step.last_tangent
         touching = state if state.pressure.any() else None
         return self._report(answer), Start(touching, tangent, answer.noise, answer.view)
+
+    def _doubt(self, answer: SolvedFrame) -> str:
+        """Why a solution is implausible; empty if it is not."""
+        doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
+        doubt = doubt or reason_against_gas(answer.step.state.gas, self.bubble.gas, measured=False)
+        return doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m)
+
+    @property
+    def image_prior(self) -> ImageErrors:
+        """Errors of a depth image of which nothing else is known."""
+        return self._newton.image_prior
 
     def is_untouched(self, depth_m: np.ndarray) -> bool:
         """Whether an image (H, W), without the gas pressure, is explained without contact."""
@@ -251,7 +274,7 @@ class Estimator:
             gas_law_pa=self.bubble.gas_at(state.x)[0],
             resolution_m=at_noise(self.resolution_m, answer.noise.ranges),
             seen_share=answer.visible_share,
-            image_errors=state.image_errors if state.image_errors.any() else None,
+            image_errors=answer.image_errors,
             flow=answer.flow,
         )
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import IMAGE_ERRORS, RangeObserver, ShapeRanges
+from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, RangeObserver, ShapeRanges
 from bubbleviz.inverse.contact_problem import (
     ContactPressure,
     ContactProblem,
@@ -144,6 +144,8 @@ class GaussNewton:
     ----------
     rest : State
         Without contact.
+    image_prior : ImageErrors
+        Of an image of which nothing else is known.
     weight_density : float
         Weight of all ranges at rest over the membrane's area, 1/m⁴.
     """
@@ -160,14 +162,15 @@ class GaussNewton:
         self.mesh, self.observer, self.bubble = observer.mesh, observer, bubble
         self._smoothness, self.length_m, self.friction = smoothness, length_m, friction
         depth = float(observer.image_errors[:, 3].mean() / observer.image_errors[:, 0].mean())
-        self._image_sigma = image_error * np.array([depth, depth, depth, 1.0])
+        image_sigma = image_error * np.array([depth, depth, depth, 1.0])
+        self.image_prior = ImageErrors(np.zeros_like(image_sigma), np.diag(image_sigma**2))
         edge = self.mesh.edge_length
         self._reuse_m, self._large_m = TANGENT_REUSE * edge, LARGE_MOTION * edge
         self._max_step_m = MAX_STEP * edge
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
         self.rest = State(
-            rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest), np.zeros_like(self._image_sigma)
+            rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest), self.image_prior.mean
         )
         self._rest_tangent = {
             measured: bubble.linearised(rest, nothing, None if not measured else 0.0)
@@ -203,13 +206,15 @@ class GaussNewton:
         """
         at_rest = state is self.rest
         view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
-        expected = view.model_m + self.observer.image_errors @ state.image_errors
+        prior = data.image_errors or self.image_prior
+        image_errors = prior.mean if at_rest else state.image_errors
+        expected = view.model_m + self.observer.image_errors @ image_errors
         observation = self.observer.weigh(data.ranges, expected)
-        error = observation.residual_m[view.block] - view.model_m[view.block]
         errors_m = self.observer.image_errors[view.block]
+        measured_m = observation.residual_m[view.block] - errors_m @ prior.mean
         used = data.flow if by_flow else None
         flow = None if used is None else FlowResidual.at(state.x, used)
-        return LinearisedFrame(view, observation, error, errors_m, self._image_sigma, flow)
+        return LinearisedFrame(view, observation, measured_m, errors_m @ prior.units, prior, flow)
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
@@ -259,7 +264,10 @@ class GaussNewton:
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
-        after, balanced, last = self._advance(tangent, state, measurements.nuisances, contact, gas)
+        image_errors = observed.image_prior.at(contact.amplitudes[-len(IMAGE_ERRORS) :])
+        after, balanced, last = self._advance(
+            tangent, state, measurements.nuisances, contact, gas, image_errors
+        )
         motion = after.x - state.x
         residual = observed.error_m - observed.view.jacobian @ motion.ravel()
         residual -= measurements.nuisances.error(contact.amplitudes)
@@ -355,6 +363,7 @@ class GaussNewton:
         nuisances: Nuisances,
         contact: ContactPressure,
         gas: float | None,
+        image_errors: np.ndarray,
     ) -> tuple[State, bool, Tangent]:
         """State after a step, whether it is an equilibrium, and the last tangent computed.
 
@@ -378,7 +387,6 @@ class GaussNewton:
             x = linear
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
-        image_errors = contact.amplitudes[-len(IMAGE_ERRORS) :]
         after = State(x, pressure, contact.support, inside, friction, image_errors)
         return after, balanced, tangent
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.camera import Measured, Misfit, ShapeRanges
+from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Measured, Misfit, ShapeRanges
 from bubbleviz.inverse.contact_problem import significant_contact
 from bubbleviz.inverse.friction import contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import (
@@ -45,6 +45,9 @@ membrane took up to 15 such steps, of 0.3 s each."""
 _MAX_SELECTIONS, _SELECTION_ROUNDS = 2, 6
 """Selections of the support at a converged shape, and how often each may add nodes with a negative
 gradient."""
+_IMAGE_CHANGED = 18.5
+"""χ² of the four errors of an image, which one image in 1,000 exceeds by chance: beyond, the camera
+has moved since the errors were determined that are known."""
 MINIMUM_BLOCKS = 3
 """Blocks that a plane needs: with fewer, a dent cannot be distinguished from a shift of the
 sensor."""
@@ -95,6 +98,8 @@ class SolvedFrame:
         Share of the contact area visible to the camera; NaN without contact.
     flow : FlowFit or None
         None where flow saw no contact.
+    image_errors : ImageErrors or None
+        None if they are not known.
     solve_ms : float
         Of all steps.
     """
@@ -108,7 +113,14 @@ class SolvedFrame:
     wrench_covariance: np.ndarray
     visible_share: float
     flow: FlowFit | None
+    image_errors: ImageErrors | None
     solve_ms: float
+
+    @property
+    def image_changed(self) -> bool:
+        """Whether the image has other errors than its prior allows."""
+        shift = self.step.contact.amplitudes[-len(IMAGE_ERRORS) :] / max(self.noise.ranges, 1.0)
+        return bool(shift @ shift > _IMAGE_CHANGED)
 
 
 class Iteration:
@@ -314,8 +326,18 @@ class Iteration:
             wrench_covariance(newton.bubble, step, contact, newton.friction * ~by_flow),
             _visible_share(observed, mesh.areas * contact),
             _flow_fit(step, observed.flow, self._noise) if by_flow.any() else None,
+            self._image_errors(step, observed),
             self._solve_ms,
         )
+
+    def _image_errors(self, step: Step, observed: LinearisedFrame) -> ImageErrors | None:
+        """Errors of the whole image; where they are not fitted, those known before, if any."""
+        measurements = step.measurements
+        own = slice(-len(IMAGE_ERRORS), None)
+        if measurements.nuisances.sigma[own].any():
+            covariance = measurements.nuisance_covariance[own, own]
+            return observed.image_prior.given(step.contact.amplitudes[own], covariance)
+        return self._data.image_errors
 
 
 def is_untouched(newton: GaussNewton, measured: Measured) -> bool:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import Measured, MeasuredFlow, Observation, ShapeRanges
+from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, Observation, ShapeRanges
 from bubbleviz.inverse.noise import Noise
 
 
@@ -24,11 +24,14 @@ class FrameData:
         p_v, Pa; None: computed from the volume.
     flow : MeasuredFlow or None
         Of the colour image.
+    image_errors : ImageErrors or None
+        Known from frames without contact; None: not known.
     """
 
     ranges: Measured
     gas_pa: float | None = None
     flow: MeasuredFlow | None = None
+    image_errors: ImageErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -193,21 +196,28 @@ class LinearisedFrame:
     ----------
     view : ShapeRanges
     observation : Observation
-    error_m : (k,) array
-        Measured minus modelled ranges of the blocks in `view`.
+    measured_m : (k,) array
+        Ranges of the blocks in `view` less those at rest, without the expected errors of the image.
     image_errors_m : (k, e) array
-        Range errors of those blocks under a unit of each error of the whole image.
-    image_sigma : (e,) array
-        Prior standard deviations of these.
+        Range errors of those blocks under a standard deviation of each independent error of the
+        whole image.
+    image_prior : ImageErrors
+        Of these errors.
     flow : FlowResidual or None
     """
 
     view: ShapeRanges
     observation: Observation
-    error_m: np.ndarray
+    measured_m: np.ndarray
     image_errors_m: np.ndarray
-    image_sigma: np.ndarray
+    image_prior: ImageErrors
     flow: FlowResidual | None
+
+    @cached_property
+    def error_m(self) -> np.ndarray:
+        """Measured minus modelled ranges of the blocks in `view`, (k,)."""
+        error: np.ndarray = self.measured_m - self.view.model_m[self.view.block]
+        return error
 
     @property
     def weight(self) -> np.ndarray:
@@ -226,8 +236,7 @@ class LinearisedFrame:
 
     def fits_rest_better(self, error_m: np.ndarray) -> bool:
         """Whether the membrane at rest has a smaller misfit than errors (k,)."""
-        at_rest = self.observation.residual_m[self.view.block]
-        return self.misfit(error_m) > self.misfit(at_rest)
+        return self.misfit(error_m) > self.misfit(self.measured_m)
 
     def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
         """Errors (k,) less the fitted errors of the whole image."""
@@ -252,11 +261,15 @@ class LinearisedFrame:
             jacobian = sparse.vstack([jacobian, self.flow.jacobian], format="csr")
             error = np.concatenate([error, self.flow.error_px])
             weight = np.concatenate([weight, self.flow.weight(noise.flow)])
-        nuisances = Nuisances.joined(moving, self.image_errors_m, doubt * self.image_sigma)
+        nuisances = Nuisances.joined(moving, self.image_errors_m, doubt * self._image_sigma)
         return Measurements(jacobian, error, weight, nuisances)
+
+    @property
+    def _image_sigma(self) -> np.ndarray:
+        return np.ones(self.image_errors_m.shape[1])
 
     @cached_property
     def _by_image(self) -> Measurements:
         nothing = Nuisances.none(self.view.jacobian.shape[1] // 3)
-        nuisances = Nuisances.joined([nothing], self.image_errors_m, self.image_sigma)
+        nuisances = Nuisances.joined([nothing], self.image_errors_m, self._image_sigma)
         return Measurements(self.view.jacobian, self.error_m, self.weight, nuisances)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import MeasuredFlow, RangeObserver
+from bubbleviz.camera import ImageErrors, MeasuredFlow, RangeObserver
 from bubbleviz.inverse.contact_problem import ContactProblem, Prior
 from bubbleviz.inverse.estimator import PAPER, Estimator, EstimatorOptions, no_estimate
 from bubbleviz.inverse.iteration import MINIMUM_BLOCKS, Start
@@ -65,8 +65,9 @@ class PaperEstimator(Estimator):
         start: Start | None = None,
         gas_sigma_pa: float = 0.0,
         flow: MeasuredFlow | None = None,
+        image_errors: ImageErrors | None = None,
     ) -> tuple[Estimate, Start]:
-        """Solve one frame; optical flow and a gas pressure with an uncertain zero are not used."""
+        """Solve one frame by depth, and by gas pressure if its zero is known."""
         mesh, behind = self.mesh, self.bubble.gas
         gas = None if gas_sigma_pa else behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):

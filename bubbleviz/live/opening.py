@@ -29,9 +29,9 @@ from bubbleviz.live.recorder import Recorder
 from bubbleviz.live.replay import FramesLive, Replay
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.plugins import plugin
-from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import AUTO, FrameMessages, preset_of_size
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
+from bubbleviz.zeros import PressureZero
 
 FIRST_MESSAGE_S = 10.0
 SIMULATED_S = 120.0

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from bubbleviz.camera import ColourImage, Intrinsics
+from bubbleviz.camera import ColourImage, ImageErrors, Intrinsics
 from bubbleviz.errors import InputError
 
 NO_COLOUR = "no colour images of this sensor in a known encoding"
@@ -50,6 +50,8 @@ class Frame:
     gas_sigma_pa : float
         Standard deviation of the zero of the gas pressure, Pa: the weather's if the zero was not
         measured in this recording, see `PressureZero`.
+    image_errors : ImageErrors or None
+        Errors of the entire depth image as known from frames without contact, see `ImageZero`.
     """
 
     index: int
@@ -64,6 +66,7 @@ class Frame:
     colour_delay_s: float = 0.0
     no_colour: str = NO_COLOUR
     gas_sigma_pa: float = 0.0
+    image_errors: ImageErrors | None = None
 
     @property
     def colour(self) -> ColourImage | None:

@@ -50,8 +50,8 @@ def test_arrays_and_frames_give_the_same_result_as_the_recording(frames, sensor,
 
 def test_frames_of_the_real_press_give_the_same_result_as_the_recording(punyo_press):
     """Its camera info is not quite the sensor file's."""
-    press = bv.open(punyo_press)[72:80]
-    run = bv.estimate(press, zero_gas=False)
+    press = [bv.open(punyo_press)[k] for k in range(72, 80)]  # alone, so without zeros
+    run = bv.estimate(press, "punyo_oval_d405", zero_gas=False)
     estimator = bv.Estimator("punyo_oval_d405", zero_gas=False)
     assert_same([estimator.update(frame) for frame in press], run)
     assert run[-1].status == "ok"
@@ -190,5 +190,6 @@ def test_colour_arrays_give_the_same_traction_as_frames_with_colour():
         other = by_frame.update(image)
     assert one.result.flow is not None and one.result.traction is not None
     assert one.result.traction.status == "ok"
-    np.testing.assert_array_equal(one.result.traction.force_n, other.result.traction.force_n)
+    # their times differ by rounding, and with them how well the errors of the image are known
+    assert one.result.traction.force_n == pytest.approx(other.result.traction.force_n, abs=1e-9)
     assert np.linalg.norm(one.result.traction.force_n) > 1.0

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bubbleviz.pressure_zero import SKIPPED, ZERO_FRAMES, PressureZero
 from bubbleviz.recordings import Frame
+from bubbleviz.zeros import SKIPPED, ZERO_FRAMES, PressureZero
 
 REFERENCE = 103_910.5
 

@@ -10,11 +10,11 @@ import bubbleviz as bv
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import RubberForward
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pressure_zero import zero_of
 from bubbleviz.recordings import HeldFrames, Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
+from bubbleviz.zeros import zeros_of
 from tests.rubber_renders import Renders, camera_of, dome_sensor, render
 
 SHIFTS = (300.0, 1000.0, 3000.0, -1000.0)
@@ -65,7 +65,7 @@ def test_interval_covers_the_force_without_contact_free_frames(twin, usual, shif
     sensor, frames, force = twin
     pipeline = Pipeline.of(sensor)
     held = shifted(frames[REST:], shift_pa)
-    zero = zero_of(HeldFrames(held), pipeline)
+    zero = zeros_of(HeldFrames(held), pipeline).gas
     assert zero.offset_pa is None and "±2 kPa" in zero.words
     for frame, before in zip(held, usual[REST:], strict=True):
         estimate = pipeline.process(zero.applied(frame), frozenset({"estimate"})).estimate
@@ -87,7 +87,7 @@ def test_constant_contact_is_not_contact_free(twin):
     held = [replace(frames[REST + k % HELD], index=k) for k in range(20)]
     run = bv.estimate(held, sensor)
     assert set(run.status) == {"ok"}
-    zero = zero_of(HeldFrames(held), Pipeline.of(sensor))
+    zero = zeros_of(HeldFrames(held), Pipeline.of(sensor)).gas
     assert zero.offset_pa is None
 
 
@@ -96,14 +96,17 @@ def test_a_rest_late_in_a_recording_is_found(twin):
     sensor, frames, _ = twin
     late = [frames[REST + k % HELD] for k in range(30)] + [frames[k % REST] for k in range(8)]
     pipeline = Pipeline.of(sensor)
-    zero = zero_of(HeldFrames(shifted(late, 998.0)), pipeline)
+    zero = zeros_of(HeldFrames(shifted(late, 998.0)), pipeline).gas
     assert zero.offset_pa == pytest.approx(998.0, abs=3.0)
     assert zero.words.startswith("gas pressure zero: +99") and "contact-free frames" in zero.words
 
 
 @pytest.mark.parametrize("rest", [True, False])
 def test_weather_of_the_real_press(punyo_press, rest):
-    """3.11 N, as on its own day; 1 kPa more made 7.75 N of it, believed to 0.24 N."""
+    """As on its own day; 1 kPa more made 7.75 N of it, believed to 0.24 N.
+
+    With a frame without contact the errors of its depth image are known: 3.01 instead of 3.11 N.
+    """
     sensor, chosen = load_sensor("punyo_oval_d405"), [*range(4 * rest), 75, 84]
     with Recording(punyo_press) as recording:
         frames = [recording[k] for k in chosen]
@@ -114,4 +117,4 @@ def test_weather_of_the_real_press(punyo_press, rest):
             size, before = (np.linalg.norm(each.force_n[k]) for each in (run, usual))
             assert run.status[k] == "ok"
             assert abs(size - before) < run[k].estimate.force_half_width_n
-            assert size == pytest.approx(3.11, abs=0.1)
+            assert size == pytest.approx(3.01 if rest else 3.11, abs=0.1)

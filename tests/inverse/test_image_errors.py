@@ -41,7 +41,7 @@ def test_image_errors_are_not_contact(solver, kind, size):
     assert not estimate.force_n.any()
     assert estimate.residual_rms_m < NOISE_M
     if kind != "scale":  # which an offset resembles
-        found = estimate.image_errors[IMAGE_ERRORS.index(kind)]
+        found = estimate.image_errors.mean[IMAGE_ERRORS.index(kind)]
         assert found == pytest.approx(size, rel=0.3)
 
 

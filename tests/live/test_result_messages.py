@@ -29,11 +29,11 @@ from bubbleviz.live import (
     status_of,
 )
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pressure_zero import ZERO_FRAMES, PressureZero
 from bubbleviz.recordings import Frame, FrameMessages
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, SyntheticSource, default_path
+from bubbleviz.zeros import ZERO_FRAMES, PressureZero
 
 MARKER = STORE.types["visualization_msgs/msg/Marker"]
 

@@ -9,8 +9,8 @@ from mcap.reader import make_reader
 from window_driver import Driver
 
 from bubbleviz.live import SensorPlace, SessionPreset
-from bubbleviz.pressure_zero import ZERO_FRAMES
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.zeros import ZERO_FRAMES
 from bubbleviz_ui.live.connection import single
 
 WIDTH, HEIGHT = 64, 48

@@ -12,7 +12,7 @@ from live_bench import sensor_file, sensor_pair_preset
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pressure_zero import PressureZero
+from bubbleviz.zeros import PressureZero
 from bubbleviz_ui.engine.solver import OpenRequest, Solver
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Deferred

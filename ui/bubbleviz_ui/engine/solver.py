@@ -19,7 +19,6 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult, SettingsComparison
 from bubbleviz.pipeline import DIAGNOSTICS, FLOW_PRODUCTS, FrameOptions, Pipeline, Product
-from bubbleviz.pressure_zero import PressureZero, wrench_bias, zero_of, zeroed
 from bubbleviz.processes import PipelineProcess
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import (
@@ -34,6 +33,7 @@ from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, contradiction
 from bubbleviz.simulation import truth_of
+from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.live_frames import LiveFrames
@@ -141,7 +141,7 @@ class OpenSource:
     """An open source and its pipeline; used only in the solver thread.
 
     `wrench_bias` searches the bias of the wrench sensor; `solver_process` solves the newest frames
-    of one of two cameras on another core; `zero` is the zero of a recording's gas pressure.
+    of one of two cameras on another core; `zeros` are of gas pressure and depth image.
     """
 
     opened: Source
@@ -152,7 +152,7 @@ class OpenSource:
     shear: ShearReference = field(default_factory=ShearReference)
     estimates: EstimateCache = field(default_factory=EstimateCache)
     solver_process: PipelineProcess | None = None
-    zero: PressureZero | None = None
+    zeros: Zeros = field(default_factory=lambda: Zeros(None, ImageZero()))
 
     @property
     def recording(self) -> Recording | None:
@@ -160,9 +160,9 @@ class OpenSource:
         return self.source if isinstance(self.source, Recording) else None
 
     def frame(self, index: int) -> Frame:
-        """Frame of the source; the gas pressure of a recording is zero-corrected."""
+        """Frame of the source; that of a recording with its zeros."""
         frame = self.source[index]
-        return frame if self.zero is None else self.zero.applied(frame)
+        return frame if self.recording is None else self.zeros.applied(frame)
 
     def process(
         self,
@@ -172,17 +172,19 @@ class OpenSource:
         solver_process: PipelineProcess | None = None,
         cold: bool = False,
     ) -> Result:
-        """Products of a frame; the gas pressure of a live one is zero-corrected."""
+        """Products of a frame; of a live one with its zeros, which follow it."""
         pipeline, stream = self.pipeline, self.opened.stream
         if self.opened is NO_SOURCE:
             return Result(frame)
         if stream is not None:
-            frame = zeroed(frame, stream.zero, pipeline)
+            frame = self.zeros.zeroed(frame, pipeline)
         products = self.shear.products(self.source, pipeline, frame.index, demand)
         products -= DIAGNOSTICS.keys()
         if cold:
             pipeline.converge(frame)
         result = (solver_process or pipeline).process(frame, products, demand.options)
+        if stream is not None:
+            self.zeros.image.follow(result, pipeline)
         if products & FLOW_PRODUCTS:
             self.shear.add_frame(result)
         return result
@@ -342,7 +344,7 @@ class Solver:
             return ()
         frame, truth = current.frame(index), truth_of(current.source, index)
         if current.opened.stream is not None:
-            frame = current.opened.stream.zero.applied(frame)
+            frame = current.zeros.applied(frame)
         for options, rule in settings:
             try:
                 measured.append(bench.measure(options, frame, rule, truth, alone=cold))
@@ -383,14 +385,16 @@ class Solver:
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
             bias = wrench_bias(source, pipeline)
             current = OpenSource(request.source, source, pipeline, settings, bias)
+            if stream is not None:
+                current = replace(current, zeros=Zeros(stream.zero, ImageZero()))
             products = current.shear.products(source, pipeline, frame.index, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
             measured_pa = frame.gas_pressure_pa
             if current.recording is not None:
-                current = replace(current, zero=zero_of(current.recording, pipeline))
-            if current.zero is not None:
-                frame = current.zero.applied(frame)
-                measured_pa = current.zero.rest_pa or measured_pa
+                current = replace(current, zeros=zeros_of(current.recording, pipeline))
+                frame = current.zeros.applied(frame)
+                if current.zeros.gas is not None:
+                    measured_pa = current.zeros.gas.rest_pa or measured_pa
             result = current.process(frame, request.demand)
             if request.cancelled.is_set():
                 raise Cancelled
@@ -410,11 +414,12 @@ class Solver:
 
 def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> SourceFacts:
     """Properties of an opened source."""
-    opened, source, zero = current.opened, current.source, current.zero
-    stream, recording = opened.stream, current.recording
+    opened, source, stream = current.opened, current.source, current.opened.stream
+    recording = current.recording
+    zero = current.zeros.gas if stream is None else None  # a live source reports its zero later
     # recordings have a remark
     remarks = [str(getattr(source, "remark", "")), contradiction(sensor)]
-    if stream is None:  # a live source reports its zero later
+    if stream is None:
         remarks.append(gas_warning(measured_pa, current.pipeline.model.gas.P0))
         remarks.append(_zero_remark(zero))
     return SourceFacts(
@@ -507,8 +512,8 @@ def _sensor_file_remark(current: OpenSource) -> str:
         return ""
     # not at start
     from bubbleviz.calibration import check_sensor
-    from bubbleviz.pressure_zero import ZERO_FRAMES
     from bubbleviz.recordings import find_contact_free
+    from bubbleviz.zeros import ZERO_FRAMES
 
     first = HeldFrames([source[k] for k in range(min(ZERO_FRAMES, len(source)))], source.name)
     try:

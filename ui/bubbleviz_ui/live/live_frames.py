@@ -12,9 +12,9 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.live import LiveStream
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pressure_zero import PressureZero
 from bubbleviz.recordings import Frame, Gap, usual_step
 from bubbleviz.result import Result
+from bubbleviz.zeros import PressureZero
 from bubbleviz_ui.model.frame_history import grown
 
 FRAMES_KEPT_S = 10.0

@@ -8,9 +8,9 @@ import numpy as np
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.pipeline import Product
-from bubbleviz.pressure_zero import WRENCH_FRAMES
 from bubbleviz.recordings import Gap, measured_force
 from bubbleviz.result import TRUSTED
+from bubbleviz.zeros import WRENCH_FRAMES
 
 SHEAR = ("shear_normal_n", "shear_tangential_n", "shear_tangential_half_n", "slip_share")
 QUANTITIES = (

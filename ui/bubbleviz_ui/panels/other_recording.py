@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.api.comparing import Alignment, Comparison, compare
-from bubbleviz.api.estimator import PRODUCTS, FrameSolver, recorded_zero, solved
+from bubbleviz.api.estimator import PRODUCTS, FrameSolver, solved
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread, Run
 from bubbleviz.diagnostics import numbers_of
@@ -22,6 +22,7 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor
+from bubbleviz.zeros import zeros_of
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.model.frame_history import FrameHistory
 
@@ -40,10 +41,10 @@ def solve(
     with closing(source.open(sensor)) as opened, OneBlasThread():
         frames = Frames(opened)
         pipeline = Pipeline.of(sensor, frames[0].intrinsics, options)
-        zero = recorded_zero(opened, pipeline)
+        zeros = zeros_of(opened, pipeline)
         run = Run(pipeline.model, {"recording": source.title}, {})
         step = partial(_titled, progress, source.title)
-        for result in solved(frames, FrameSolver(pipeline, PRODUCTS, rule, zero), step):
+        for result in solved(frames, FrameSolver(pipeline, PRODUCTS, rule, zeros), step):
             run.add(result, keep=keep)
     return run
 

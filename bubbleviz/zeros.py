@@ -1,0 +1,298 @@
+"""Zeros of gas pressure, depth image and wrench sensor, from frames without contact.
+
+That of the gas pressure removes changes of ambient pressure and the sensor's offset, that of the
+depth image what has changed in the camera since calibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from bubbleviz.camera import ImageErrors
+from bubbleviz.errors import InputError
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame, FrameSource, force_of
+from bubbleviz.result import HALF_95, Result
+from bubbleviz.sensor import WEATHER_SIGMA_PA
+
+ZERO_FRAMES = 15  # contact-free frames for a zero, which is their median: half a second at 30 Hz
+MIN_FRAMES = 3
+"""Fewest consecutive contact-free frames for the zero of a recording: a single one may be a failed
+image."""
+WRENCH_FRAMES = 100  # contact-free frames for the bias of a wrench sensor, which is their median
+_SEARCH_POINTS = 20  # positions in a recording where contact-free frames are searched
+SKIPPED = 6  # live frames after one with contact that are not tested
+_DRIFT_S = 600.0
+"""Time in which errors of the depth image change as much as since calibration: a depth camera warms
+up in about ten minutes."""
+_JITTER = 0.1
+"""Standard deviation of the errors of single images, over that of those since calibration. Measured
+on the real press, without contact: 0.01 mm."""
+_RENEWED_S = 60.0  # time after which live frames without contact determine these errors again
+
+
+class ImageZero:
+    """Errors of the depth image, from frames without contact.
+
+    A camera's errors change while it warms, not while an object touches the membrane for a second.
+    During contact they are therefore those of the frames without contact: found anew, they would
+    imitate friction and deformations that the model of the membrane lacks. They follow a random
+    walk, and those of single images scatter around it. As a contact is found some frames after it
+    began, the last `MIN_FRAMES` of consecutive frames are not used. `fixed`: not to be renewed.
+    """
+
+    def __init__(self) -> None:
+        self.fixed = False
+        self._since_calibration: ImageErrors | None = None  # None: no frame seen
+        self._known: ImageErrors | None = None
+        self._time_s = 0.0
+        self._rest: list[Result] = []
+
+    def applied(self, frame: Frame) -> Frame:
+        """The frame with the errors that are known; the same frame if they are not."""
+        return frame if self._known is None else replace(frame, image_errors=self._at(frame.time_s))
+
+    def follow(self, result: Result, pipeline: Pipeline) -> None:
+        """Use a solved frame if it is one of consecutive ones without contact."""
+        since_s = abs(result.frame.time_s - self._time_s)
+        if self.fixed or (self._known is not None and since_s < _RENEWED_S):
+            return
+        touched = result.estimate is None or result.estimate.status != "no_contact"
+        if not touched:
+            self._rest.append(result)
+        if touched or len(self._rest) == ZERO_FRAMES:
+            self.take(self._rest, pipeline)
+            self._rest = []
+
+    def take(self, rest: Sequence[Result], pipeline: Pipeline) -> None:
+        """Determine the errors from consecutive solved frames without contact."""
+        for result in rest[:-MIN_FRAMES]:
+            found = None if result.estimate is None else result.estimate.image_errors
+            if found is not None and found.prior is not None:
+                self._add(result.frame, found, found.prior, pipeline.estimator.image_prior)
+
+    def _add(
+        self, frame: Frame, found: ImageErrors, prior: ImageErrors, unknown: ImageErrors
+    ) -> None:
+        """Update by an image: a step of a Kalman filter, in terms of inverse covariances."""
+        moved = frame.image_errors is not None and prior is not frame.image_errors
+        if self._known is None or moved:
+            self._since_calibration = self._known = unknown
+            self._time_s = frame.time_s
+        # what the image tells without its prior, widened by the scatter of single images
+        precision = np.linalg.inv(found.covariance) - np.linalg.inv(prior.covariance)
+        weighted = np.linalg.solve(found.covariance, found.mean)
+        weighted -= np.linalg.solve(prior.covariance, prior.mean)
+        scatter = np.eye(len(precision)) + _JITTER**2 * precision @ unknown.covariance
+        before = np.linalg.inv(self._walk(frame.time_s))
+        covariance = np.linalg.inv(before + np.linalg.solve(scatter, precision))
+        mean = covariance @ (before @ self._known.mean + np.linalg.solve(scatter, weighted))
+        self._known, self._time_s = ImageErrors(mean, covariance), frame.time_s
+
+    def _at(self, time_s: float) -> ImageErrors:
+        """Errors expected in an image at a time."""
+        known, since = self._known, self._since_calibration
+        assert known is not None and since is not None
+        return ImageErrors(known.mean, self._walk(time_s) + _JITTER**2 * since.covariance)
+
+    def _walk(self, time_s: float) -> np.ndarray:
+        """Covariance (4, 4) of the errors at a time, without those of its image alone."""
+        known, since = self._known, self._since_calibration
+        assert known is not None and since is not None
+        walked: np.ndarray = abs(time_s - self._time_s) / _DRIFT_S * since.covariance
+        return known.covariance + walked
+
+
+class PressureZero:
+    """Shifts the measured gas pressure so that it equals the sensor file's without contact.
+
+    The sensor file has gauge and atmospheric pressure of the day it was made. The weather of
+    another day (±2 kPa) and the offset of a pressure sensor would look like contact, so they are
+    subtracted. Until they are known, frames have the weather's standard deviation in
+    `gas_sigma_pa`.
+    """
+
+    def __init__(
+        self,
+        reference_pa: float,  # absolute pressure of the inflated, untouched bubble in the file, Pa
+    ) -> None:
+        self.reference_pa = reference_pa
+        self.offset_pa: float | None = None  # of the measured pressure; None: unknown
+        self.frames = 0  # contact-free frames used for the offset
+        self._free: list[float] = []
+        self._collecting = True
+        self._to_skip = 0
+
+    @property
+    def waiting(self) -> bool:
+        """Whether contact-free frames are still being collected."""
+        return self._collecting
+
+    def refer_to(self, reference_pa: float) -> None:
+        """Use the gas pressure of another sensor file, Pa.
+
+        The pressure measured at rest is kept, so the offset changes with the reference. A new zero
+        is collected, as frames without contact by one sensor file may have contact by the other.
+        """
+        if reference_pa == self.reference_pa:
+            return
+        if self.offset_pa is not None:
+            self.offset_pa += self.reference_pa - reference_pa
+        self.reference_pa = reference_pa
+        self.zero_now()
+
+    def zero_now(self) -> None:
+        """Collect a new zero from the next contact-free frames; keep the offset until then."""
+        self._free, self._collecting = [], True
+
+    @property
+    def rest_pa(self) -> float | None:
+        """Pressure measured without contact, Pa; None if unknown."""
+        return None if self.offset_pa is None else self.offset_pa + self.reference_pa
+
+    def restore(self, rest_pa: float | None, *, waiting: bool) -> None:
+        """Restore an earlier state of `rest_pa` and `waiting`."""
+        self.offset_pa = None if rest_pa is None else rest_pa - self.reference_pa
+        self._free, self._collecting = [], waiting
+
+    def learn(
+        self,
+        raw_pressure_pa: float | None,
+        *,
+        contact_free: bool,  # by the depth image alone
+    ) -> None:
+        """Add the measured pressure of a frame, Pa, before correction."""
+        if not self._collecting or raw_pressure_pa is None:
+            return
+        if not contact_free:
+            self._free.clear()  # a zero comes from consecutive frames
+            self._to_skip = SKIPPED
+            return
+        self._free.append(raw_pressure_pa)
+        if len(self._free) >= ZERO_FRAMES:
+            self.take(self._free)
+
+    def take(self, pressures_pa: Sequence[float]) -> None:
+        """Compute the zero from the measured pressures of contact-free frames, Pa."""
+        self.offset_pa = float(np.median(pressures_pa)) - self.reference_pa
+        self.frames = len(pressures_pa)
+        self._free, self._collecting = [], False
+
+    @property
+    def words(self) -> str:
+        """Description in one line."""
+        if self.offset_pa is None:
+            weather = 1e-3 * HALF_95 * WEATHER_SIGMA_PA
+            return (
+                f"gas pressure zero: unknown without {MIN_FRAMES} contact-free frames in a row, "
+                f"so within ±{weather:.0f} kPa by the weather (95 %)"
+            )
+        return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
+
+    def wants_next(self) -> bool:
+        """Whether to test the next frame for contact; during contact only every sixth is."""
+        self._to_skip = max(self._to_skip - 1, 0)
+        return self._collecting and self._to_skip == 0
+
+    def applied(self, frame: Frame) -> Frame:
+        """The frame with corrected gas pressure, or with its standard deviation."""
+        if frame.gas_pressure_pa is None:
+            return frame
+        if self.offset_pa is None:
+            return replace(frame, gas_sigma_pa=WEATHER_SIGMA_PA)
+        return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
+
+
+class Zeros(NamedTuple):
+    """Zeros of one sensor."""
+
+    gas: PressureZero | None  # None: its gas pressure is not measured, or not corrected
+    image: ImageZero
+
+    def applied(self, frame: Frame) -> Frame:
+        """The frame with corrected gas pressure and known errors of the depth image."""
+        return self.image.applied(frame if self.gas is None else self.gas.applied(frame))
+
+    def zeroed(self, frame: Frame, pipeline: Pipeline) -> Frame:
+        """The same, after use of the frame for the zero of the gas pressure if it is collected."""
+        gas, measured_pa = self.gas, frame.gas_pressure_pa
+        if gas is not None and measured_pa is not None and gas.wants_next():
+            gas.learn(measured_pa, contact_free=pipeline.is_untouched(frame))
+        return self.applied(frame)
+
+
+def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
+    """Zeros of a recording, the same for all of its frames, from some without contact.
+
+    They are searched at the start, then at positions spread over the recording. The zeros are
+    unknown if there are none.
+    """
+    rest, image = _rest_of(source, pipeline), ImageZero()
+    image.take(rest, pipeline)
+    image.fixed = True
+    if source[0].gas_pressure_pa is None:
+        return Zeros(None, image)
+    gas = PressureZero(pipeline.model.gas.P0)
+    pressures = [each.frame.gas_pressure_pa for each in rest]
+    measured = [pressure for pressure in pressures if pressure is not None]
+    if len(measured) >= MIN_FRAMES:
+        gas.take(measured)
+    gas.restore(gas.rest_pa, waiting=False)
+    return Zeros(gas, image)
+
+
+def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Result]:
+    """Longest run of frames without contact that was found, at least `MIN_FRAMES`, or none."""
+    longest: list[Result] = []
+    starts = np.unique(np.linspace(0, len(source) - MIN_FRAMES, _SEARCH_POINTS).astype(int))
+    for start in starts[starts >= 0]:
+        longest = max(longest, _rest_from(source, int(start), pipeline), key=len)
+        if len(longest) == ZERO_FRAMES:
+            break
+    return longest if len(longest) >= MIN_FRAMES else []
+
+
+def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[Result]:
+    """Consecutive frames without contact by their depth alone, from `start` on."""
+    rest: list[Result] = []
+    for index in range(start, min(start + ZERO_FRAMES, len(source))):
+        frame = source[index]
+        if not rest and not pipeline.is_untouched(frame):  # the faster test, if there is contact
+            break
+        estimate = pipeline.estimate_once(replace(frame, gas_pressure_pa=None))
+        if estimate.status != "no_contact":
+            break
+        rest.append(Result(frame, estimate=estimate))
+    return rest
+
+
+def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:
+    """Bias of the wrench sensor: median force (3,) of the first contact-free frames, N.
+
+    Yields None after each examined frame, then the bias; NaN if no frames are contact-free.
+    """
+    rest: list[np.ndarray] = []
+    for index in range(len(source)):
+        free = _contact_free(source, index, pipeline)
+        if free is not None:
+            rest.append(force_of(free.wrench))
+        elif len(rest) < MIN_FRAMES:
+            rest.clear()
+        if len(rest) == WRENCH_FRAMES or (rest and free is None):
+            break
+        yield None
+    known = [force for force in rest if np.isfinite(force).all()]
+    yield np.median(known, axis=0) if known else np.full(3, np.nan)
+
+
+def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame | None:
+    """A frame if it can be read and its depth image shows no contact."""
+    try:
+        frame = source[index]
+        return frame if pipeline.is_untouched(frame) else None
+    except InputError:
+        return None

@@ -1,0 +1,94 @@
+"""Errors of the depth image that are known from frames without contact."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import bubbleviz as bv
+from bubbleviz.membrane import build_mesh
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation import touching_height
+
+REST, HELD = 20, 4
+SEEDS = range(3)
+
+
+@cache
+def sensor():
+    given = bv.load_sensor("pico_flexx_75mm")
+    membrane = given.membrane.model_copy(update={"nodes": 400, "prestretch": 1.2})
+    return given.model_copy(update={"membrane": membrane})
+
+
+@cache
+def press(seed):
+    """Frames without contact, then of a ball that is held, at 1 % of noise; and its force."""
+    poses = np.tile(np.eye(4), (REST + HELD, 1, 1))
+    top = touching_height(load_object("sphere"), poses[0], build_mesh(sensor()))
+    poses[:, 2, 3] = np.where(np.arange(REST + HELD) < REST, top + 0.02, top - 0.006)
+    simulation = bv.simulate(sensor(), "sphere", poses, noise_relative=0.01, seed=seed)
+    return [simulation[k] for k in range(len(poses))], simulation.truth(REST).force_n
+
+
+def shifted(frame, offset_m, scale=0.0):
+    depth_m = (frame.depth_m * np.float32(1.0 + scale) + np.float32(offset_m)).astype(np.float32)
+    return replace(frame, depth_m=depth_m, gas_pressure_pa=None)
+
+
+def solved(frames):
+    """Results of the last frames."""
+    estimator = bv.Estimator(sensor())
+    return [estimator.update(frame) for frame in frames][-HELD:]
+
+
+def errors(frames, force_n):
+    """Errors of the force in the last frames, N."""
+    found = solved(frames)
+    assert {each.status for each in found} == {"ok"}
+    return [np.linalg.norm(each.force_n - force_n) for each in found]
+
+
+def test_frames_without_contact_make_the_force_more_accurate():
+    with_rest, alone = [], []
+    for seed in SEEDS:
+        frames, force_n = press(seed)
+        with_rest += errors(frames, force_n)
+        alone += errors(frames[REST:], force_n)
+    assert np.sqrt(np.mean(np.square(with_rest))) < 0.85 * np.sqrt(np.mean(np.square(alone)))
+
+
+@pytest.mark.parametrize("scale", [-2e-3, 2e-3])
+def test_a_camera_that_has_changed_since_calibration(scale):
+    """Alone, without the frames without contact, some of these are refused."""
+    frames, force_n = press(1)
+    error = errors([shifted(frame, 3e-4, scale) for frame in frames], force_n)
+    assert max(error) < 0.06 * np.linalg.norm(force_n)
+
+
+@pytest.mark.parametrize("offset_m", [-5e-4, 5e-4])
+def test_a_camera_that_moves_during_contact(offset_m):
+    """What was known of its images does not count any more: it would make the force wrong."""
+    frames, _ = press(0)
+    moved = [shifted(frame, offset_m * (k >= REST)) for k, frame in enumerate(frames)]
+    for found, alone in zip(solved(moved), solved(moved[REST:]), strict=True):
+        assert found.status == alone.status
+        np.testing.assert_allclose(found.force_n, alone.force_n, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("offset_m", [-5e-4, 5e-4])
+def test_a_camera_that_moves_is_not_contact(offset_m):
+    frames, _ = press(0)
+    estimator = bv.Estimator(sensor())
+    for k, frame in enumerate(frames[:REST]):
+        assert estimator.update(shifted(frame, offset_m * (k >= 17))).status == "no_contact"
+
+
+def test_a_recording_and_its_frames_one_by_one_have_the_same_force():
+    frames, _ = press(0)
+    run = bv.estimate(frames, sensor())
+    estimator = bv.Estimator(sensor())
+    for frame, force_n in zip(frames, run.force_n, strict=True):
+        found = estimator.update(frame).force_n
+        assert found == pytest.approx(force_n, abs=0.01 * max(np.linalg.norm(force_n), 1e-9))
