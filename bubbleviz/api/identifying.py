@@ -232,9 +232,8 @@ def identify(
         search=False,
     )
     with OneBlasThread():
-        draft = Workbench(source, load_sensor(sensor)).work(settings, progress)
-    assert draft.found is not None  # after the last step
-    identified = Identified(draft.found, source, name)
+        found = Workbench(source, load_sensor(sensor)).work(settings, progress)
+    identified = Identified(found, source, name)
     if out is not None:
         identified.save(out, report, overwrite=overwrite, progress=progress)
     return identified

@@ -64,7 +64,6 @@ from .verdict import (
     judge as judge,
 )
 from .workbench import (
-    Draft as Draft,
     Settings as Settings,
     Step as Step,
     Workbench as Workbench,

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bubbleviz.calibration.rest_frames import FrameSamples
+from bubbleviz.calibration.rest_frames import FrameSamples, Ranges
 from bubbleviz.calibration.surface import Surfaces
 from bubbleviz.calibration.tension import Quantity, TensionEstimate
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import DepthStatistics, FrameSource, error_of_mean
+from bubbleviz.recordings import ContactFree, DepthStatistics, FrameSource, error_of_mean
 from bubbleviz.sensor import (
     ATMOSPHERES,
     MIN_NOISE,
@@ -59,19 +59,33 @@ class Vented:
         return cls(source.name, float(np.mean(known)), error_of_mean(known))
 
 
+_NOT_YET: Any = None  # value of a result whose step was not done
+
+
 @dataclass(frozen=True)
 class Identification:
-    """A sensor identified from its contact-free frames."""
+    """A sensor identified from its contact-free frames, or what the steps so far have found.
 
-    given: Sensor  # the sensor file before identification
-    samples: FrameSamples
-    surfaces: Surfaces
-    pixels: PixelModel
-    tension: TensionEstimate
+    Results of later steps are None; those of `Step.TENSION` make it `complete`.
+    """
+
+    given: Sensor = _NOT_YET  # the sensor file before identification
+    ranges: Ranges = ()  # contact-free frames in use
+    contact_free: ContactFree | None = None  # result of the search, even if it is not used
+    samples: FrameSamples = _NOT_YET
+    # chosen by validity and noise; from the surface on by bias, too
+    pixels: PixelModel = _NOT_YET
+    surfaces: Surfaces = _NOT_YET
+    tension: TensionEstimate = _NOT_YET
     vented: Vented | None = None  # the open chamber, whose pressure is in the tension
     # None without inflation levels, press and open chamber
     rubber: RubberEstimate | None = None
     validation: Validation | None = None  # by a known press
+
+    @property
+    def complete(self) -> bool:
+        """Whether all steps were done."""
+        return self.tension is not None
 
     @property
     def mesh(self) -> MembraneMesh:

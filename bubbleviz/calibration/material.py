@@ -16,7 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, robust_sigma
 from bubbleviz.result import HALF_95
-from bubbleviz.sensor import WEATHER_SIGMA_PA
+from bubbleviz.sensor import WEATHER_SIGMA_PA, Sensor
 
 _MAX_UNEXPLAINED = 0.25  # largest share of the change of range that the rubber model may not fit
 
@@ -76,15 +76,15 @@ def press_hold_frames(
 
 
 def collect_press(
-    source: FrameSource, found: Identification, progress: Progress = quiet
+    source: FrameSource, samples: FrameSamples, sensor: Sensor, progress: Progress = quiet
 ) -> FrameSamples | None:
     """Frames of a press held after the contact-free frames, with gas pressure; None without one.
 
     The first frames are left out: a camera's temporal filter still mixes earlier images into them.
     """
-    hold = dict.fromkeys(press_hold_frames(source, found.samples, progress))
+    hold = dict.fromkeys(press_hold_frames(source, samples, progress))
     frames = [k for k in hold if k - LAG in hold]
-    return collect(source, found.given, frames, progress) if len(frames) >= MIN_FRAMES else None
+    return collect(source, sensor, frames, progress) if len(frames) >= MIN_FRAMES else None
 
 
 def with_rubber(

@@ -8,20 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.rest_frames import FrameSamples
-from bubbleviz.calibration.surface import Surfaces
-from bubbleviz.camera import PixelModel, RangeLine
+from bubbleviz.camera import RangeLine
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import robust_sigma
 
 _TOLERANCE = 3.0  # standard deviations of a sample beyond the outermost levels
 _MIN_SPAN = 10.0  # standard deviations of a sample by which levels must differ
 
-Level = tuple[FrameSamples, Surfaces, PixelModel]
-"""Contact-free frames at one inflation level, the surface fitted to them, and the usable pixels."""
 
-
-def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
+def rectify(
+    found: Identification,
+    levels: Sequence[Identification],  # of the untouched sensor at other inflations, with surfaces
+) -> Identification:
     """Identification with a range correction per pixel, fitted to further inflation levels.
 
     The bias stays that of the rest level, so that the untouched sensor shows no contact. Pixels
@@ -31,21 +29,18 @@ def rectify(found: Identification, levels: Sequence[Level]) -> Identification:
     """
     if not levels:
         return found
-    every = [(found.samples, found.surfaces, found.pixels), *levels]
-    if len({pixels.mask.shape for _, _, pixels in every}) > 1:
+    every = [found, *levels]
+    if len({each.pixels.mask.shape for each in every}) > 1:
         raise InputError(
             "rectification: recording and inflation levels differ in image size; record all with "
             "one camera and resolution"
         )
-    mask = np.stack([pixels.mask for _, _, pixels in every])
-    measured = np.stack([samples.statistics.range_m for samples, _, _ in every])
+    mask = np.stack([each.pixels.mask for each in every])
     slope, nearest, farthest = fit_lines(
-        np.where(mask, measured, np.nan),
-        np.where(
-            mask, measured - np.stack([surfaces.residual_m for _, surfaces, _ in every]), np.nan
-        ),
-        np.stack([pixels.noise_m for _, _, pixels in every]),
-        np.array([samples.statistics.effective_frames for samples, _, _ in every]),
+        np.where(mask, np.stack([each.samples.statistics.range_m for each in every]), np.nan),
+        np.where(mask, np.stack([each.modelled_range_m for each in every]), np.nan),
+        np.stack([each.pixels.noise_m for each in every]),
+        np.array([each.samples.statistics.effective_frames for each in every]),
     )
     pixels, known = found.pixels, np.isfinite(slope)
     mask = pixels.mask & known

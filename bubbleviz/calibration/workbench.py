@@ -1,8 +1,8 @@
 """Identification in steps, with cached results of each.
 
 When a user of the window removes a frame, changes a threshold or goes back a step, `Workbench.work`
-returns a new `Draft` and repeats only the steps that depend on the change. A command runs all steps
-at once.
+returns a new `Identification` and repeats only the steps that depend on the change. A command runs
+all steps at once.
 """
 
 from __future__ import annotations
@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from bubbleviz.calibration.identification import Identification, Vented, rest_gauge
 from bubbleviz.calibration.material import collect_press, with_rubber
-from bubbleviz.calibration.rectification import Level, rectify
+from bubbleviz.calibration.rectification import rectify
 from bubbleviz.calibration.rest_frames import (
     FrameSamples,
     as_ranges,
@@ -31,7 +31,6 @@ from bubbleviz.calibration.rest_frames import (
 )
 from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
 from bubbleviz.calibration.tension import estimate_tension
-from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource, Recording, find_contact_free
@@ -39,9 +38,8 @@ from bubbleviz.sensor import Sensor
 
 if TYPE_CHECKING:
     from bubbleviz.calibration.rest_frames import Ranges
-    from bubbleviz.calibration.surface import SurfaceName, Surfaces
-    from bubbleviz.calibration.validation import KnownPress, Validation
-    from bubbleviz.recordings import ContactFree
+    from bubbleviz.calibration.surface import SurfaceName
+    from bubbleviz.calibration.validation import KnownPress
 
 
 class Step(IntEnum):
@@ -73,24 +71,6 @@ class Settings:
     search: bool = True  # search contact-free frames even if `ranges` is given
 
 
-@dataclass(frozen=True)
-class Draft:
-    """Results of the steps done so far; None for later steps."""
-
-    settings: Settings
-    ranges: Ranges = ()  # contact-free frames in use
-    contact_free: ContactFree | None = None  # result of the search, even if it is not used
-    samples: FrameSamples | None = None
-    # chosen by validity and noise; after the step SURFACE by bias, too
-    pixels: PixelModel | None = None
-    surfaces: Surfaces | None = None
-    found: Identification | None = None  # with the rectification by the other levels
-
-    @property
-    def validation(self) -> Validation | None:
-        return None if self.found is None else self.found.validation
-
-
 _CACHED = 3  # results of a step: the present one, the one before an undo, and one more
 _SHARES = {Step.FRAMES: 0.1, Step.PIXELS: 0.1, Step.SURFACE: 0.2, Step.TENSION: 0.6}
 """Approximate share of each step in the run time."""
@@ -105,110 +85,138 @@ class Workbench:
         self.source, self.sensor = source, sensor
         self._cache: dict[str, OrderedDict[Hashable, object]] = {}
 
-    def work(self, settings: Settings, progress: Progress = quiet) -> Draft:
+    def work(self, settings: Settings, progress: Progress = quiet) -> Identification:
         """Run the steps up to the last one of the settings.
 
         Raises InputError: as `bubbleviz.identify`. Raises Cancelled: by `progress`; steps completed
         before stay cached.
         """
-        draft, done, progress = Draft(settings), 0.0, part_of(progress, 0.0, 1.0)
-        wanted = [step for step in _SHARES if settings.last_step >= step]
-        total = sum(_SHARES[step] for step in wanted)
-        executor = ThreadPoolExecutor(1)  # levels are measured while the first steps run
+        last, found = settings.last_step, Identification(self.sensor)
+        progress = part_of(progress, 0.0, 1.0)
+        ends = np.cumsum([share for step, share in _SHARES.items() if step <= last])
+        parts = [part_of(progress, *pair) for pair in pairwise([0.0, *(ends / ends[-1:])])]
+        executor = ThreadPoolExecutor(1)  # measures other levels and the press beside the surface
+        beside = part_of(progress, 0.0, 0.0)
         try:
-            measure = partial(self._level, settings.nodes, part_of(progress, 0.0, 0.0))
             levels = [
-                executor.submit(self._of_other, each, settings.nodes, measure)
+                executor.submit(self._level, each, settings.nodes, beside)
                 for each in settings.levels
-                if settings.last_step == Step.TENSION
+                if last == Step.TENSION
             ]
-            steps: tuple[Callable[[Draft, Progress], Draft], ...]
-            steps = self._frames, self._pixels, self._surface, partial(self._tension, levels)
-            for step, run in zip(wanted, steps, strict=False):
-                before, done = done, done + _SHARES[step] / total
-                # the last step reads other sources, too
-                named = _errors_name(self.source) if step < Step.TENSION else nullcontext()
-                with named:
-                    draft = run(draft, part_of(progress, before, done))
+            with _errors_name(self.source):
+                if last >= Step.FRAMES:
+                    found = self._frames(found, settings, parts[0])
+                if last >= Step.PIXELS:
+                    found = self._pixels(found, settings, parts[1])
+                if last == Step.TENSION:
+                    press = executor.submit(self._press, found, settings, beside)
+                if last >= Step.SURFACE:
+                    found = self._surface(found, settings, parts[2])
+            if last == Step.TENSION:
+                found = self._tension(found, settings, levels, press, parts[3])
         finally:
             executor.shutdown(cancel_futures=True)
         progress("done", 1.0)
-        return draft
+        return found
 
-    def _frames(self, draft: Draft, progress: Progress) -> Draft:
-        chosen, found = draft.settings.ranges, None
-        if chosen is None or draft.settings.search:
+    def _frames(
+        self, found: Identification, settings: Settings, progress: Progress
+    ) -> Identification:
+        ranges, searched = settings.ranges, None
+        if ranges is None or settings.search:
             try:
-                found = self._cached("rest", (), lambda: find_contact_free(self.source, progress))
+                searched = self._cached(
+                    "rest", (), lambda: find_contact_free(self.source, progress)
+                )
             except InputError:
-                if chosen is None:
+                if ranges is None:
                     raise  # else the frames given are used
-        ranges = as_ranges(found.frames) if chosen is None and found else chosen
-        return replace(draft, ranges=ranges or (), contact_free=found)
+        if ranges is None and searched is not None:
+            ranges = as_ranges(searched.frames)
+        return replace(found, ranges=ranges or (), contact_free=searched)
 
-    def _pixels(self, draft: Draft, progress: Progress) -> Draft:
-        chosen = frame_numbers(draft.ranges)
+    def _pixels(
+        self, found: Identification, settings: Settings, progress: Progress
+    ) -> Identification:
+        ranges = found.ranges
         samples = self._cached(
-            "samples", draft.ranges, lambda: collect(self.source, self.sensor, chosen, progress)
+            "samples",
+            ranges,
+            lambda: collect(self.source, self.sensor, frame_numbers(ranges), progress),
         )
-        draft = replace(draft, samples=samples)
-        if draft.settings.last_step > Step.PIXELS:
-            return draft  # the step SURFACE chooses pixels
-        membrane, _ = self._cached("membrane", draft.ranges, lambda: segment_membrane(samples))
-        no_residual = np.where(membrane, 0.0, np.nan)
-        return self._select(draft, samples, membrane, no_residual)
+        found = replace(found, samples=samples)
+        if settings.last_step > Step.PIXELS:
+            return found  # the step SURFACE chooses pixels
+        membrane, _ = self._cached("membrane", ranges, lambda: segment_membrane(samples))
+        return _with_pixels(found, settings, membrane, np.where(membrane, 0.0, np.nan))
 
-    def _surface(self, draft: Draft, progress: Progress) -> Draft:
-        settings, samples = draft.settings, _known(draft.samples)
+    def _surface(
+        self, found: Identification, settings: Settings, progress: Progress
+    ) -> Identification:
         surfaces = self._cached(
             "surfaces",
-            (draft.ranges, settings.nodes, settings.surface),
-            lambda: fit_surfaces(samples, settings.nodes, settings.surface, progress),
+            (found.ranges, settings.nodes, settings.surface),
+            lambda: fit_surfaces(found.samples, settings.nodes, settings.surface, progress),
         )
-        draft = replace(draft, surfaces=surfaces)
-        return self._select(draft, samples, surfaces.membrane, surfaces.residual_m)
+        found = replace(found, surfaces=surfaces)
+        return _with_pixels(found, settings, surfaces.membrane, surfaces.residual_m)
 
     def _tension(
-        self, measured: Sequence[Future[Level]], draft: Draft, progress: Progress
-    ) -> Draft:
-        settings, samples, surfaces = draft.settings, _known(draft.samples), _known(draft.surfaces)
+        self,
+        found: Identification,
+        settings: Settings,
+        levels: Sequence[Future[Identification]],
+        press: Future[FrameSamples | None],
+        progress: Progress,
+    ) -> Identification:
         vented = None
         if settings.vented is not None:
             vented = self._of_other(settings.vented, "vented", Vented.measure)
         with _errors_name(self.source):
-            gauge = rest_gauge(samples, self.sensor, vented)
+            gauge = rest_gauge(found.samples, self.sensor, vented)
             tension = self._cached(
                 "tension",
-                (draft.ranges, settings.nodes, settings.surface, settings.vented),
-                lambda: estimate_tension(samples, surfaces, *gauge, part_of(progress, 0.0, 0.5)),
+                (found.ranges, settings.nodes, settings.surface, settings.vented),
+                lambda: estimate_tension(
+                    found.samples, found.surfaces, *gauge, part_of(progress, 0.0, 0.5)
+                ),
             )
-        parts = samples, surfaces, _known(draft.pixels), tension
-        found = Identification(self.sensor, *parts, vented)
-        levels = [level.result() for level in measured]
-        found = rectify(found, levels)
-
-        def fit_rubber() -> Identification:
-            own = part_of(progress, 0.6, 0.9)
-            use_press = settings.held_press and not levels
-            press = collect_press(self.source, found, own) if use_press else None
-            own("fitting the rubber", 0.0)
-            shapes = [samples for samples, _, _ in levels]
-            return with_rubber(found, shapes, press, settings.level_sigma_pa)
-
-        rubber = self._cached("rubber", replace(settings, press=None), fit_rubber)
-        draft = replace(draft, pixels=rubber.pixels, found=rubber)
-        if (press := settings.press) is None:
-            return draft
+        every = [level.result() for level in levels]
+        plain = rectify(replace(found, tension=tension, vented=vented), every)
+        progress("fitting the rubber", 0.5)
+        fitted = self._cached(
+            "rubber",
+            replace(settings, press=None),
+            lambda: with_rubber(
+                plain, [each.samples for each in every], press.result(), settings.level_sigma_pa
+            ),
+        )
+        if (known := settings.press) is None:
+            return fitted
         progress("predicting the known press", 0.9)
         validation = self._cached(
-            "validation", settings, lambda: press.validate(rubber.model, self.source)
+            "validation", settings, lambda: known.validate(fitted.model, self.source)
         )
-        return replace(draft, found=replace(rubber, validation=validation))
+        return replace(fitted, validation=validation)
 
-    def _level(self, nodes: int, progress: Progress, level: FrameSource) -> Level:
-        """Frames, surface and pixels of a level, by the same steps."""
-        found = Workbench(level, self.sensor).work(Settings(Step.SURFACE, nodes=nodes), progress)
-        return _known(found.samples), _known(found.surfaces), _known(found.pixels)
+    def _press(
+        self, found: Identification, settings: Settings, progress: Progress
+    ) -> FrameSamples | None:
+        """Frames of a held press, where the rubber is fitted to them."""
+        if settings.levels or not settings.held_press:
+            return None
+        return self._cached(
+            "press",
+            found.ranges,
+            lambda: collect_press(self.source, found.samples, self.sensor, progress),
+        )
+
+    def _level(self, level: FrameSource | Path, nodes: int, progress: Progress) -> Identification:
+        """Another inflation level up to its surface and pixels, by the same steps."""
+        settings = Settings(Step.SURFACE, nodes=nodes)
+        return self._of_other(
+            level, nodes, lambda source: Workbench(source, self.sensor).work(settings, progress)
+        )
 
     def _of_other(
         self, frames: FrameSource | Path, inputs: Hashable, measure: Callable[[FrameSource], T]
@@ -223,13 +231,6 @@ class Workbench:
 
         return self._cached(f"source {frames}", inputs, opened)
 
-    def _select(
-        self, draft: Draft, samples: FrameSamples, membrane: np.ndarray, residual_m: np.ndarray
-    ) -> Draft:
-        limits = draft.settings.min_validity, draft.settings.deviations
-        pixels = select_pixels(samples.statistics, membrane, residual_m, *limits)
-        return replace(draft, pixels=pixels)
-
     def _cached(self, step: str, inputs: Hashable, compute: Callable[[], T]) -> T:
         """Result of a step for its inputs, from the cache or computed."""
         results = self._cache.setdefault(step, OrderedDict())
@@ -241,6 +242,14 @@ class Workbench:
         return results[inputs]  # type: ignore[return-value]
 
 
+def _with_pixels(
+    found: Identification, settings: Settings, membrane: np.ndarray, residual_m: np.ndarray
+) -> Identification:
+    limits = settings.min_validity, settings.deviations
+    pixels = select_pixels(found.samples.statistics, membrane, residual_m, *limits)
+    return replace(found, pixels=pixels)
+
+
 @contextmanager
 def _errors_name(source: FrameSource) -> Iterator[None]:
     """Prefix error messages that lack it with the name of a source."""
@@ -250,8 +259,3 @@ def _errors_name(source: FrameSource) -> Iterator[None]:
         if source.name in str(error):
             raise
         raise InputError(f"{source.name}: {error}") from error
-
-
-def _known(value: T | None) -> T:
-    assert value is not None  # the steps run in order
-    return value

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from bubbleviz.calibration import (
-    Identification,
     Quantity,
     Vented,
     collect,
@@ -84,8 +83,7 @@ def identification(dome, camera=SMALL, nodes=NODES):
     def of(**pneumatics):
         sensor = sensor_file(camera, **pneumatics)
         tension = once.tension.under(Quantity.normal(*rest_gauge(once.samples, sensor)))
-        parts = once.samples, once.surfaces, once.pixels, tension
-        return with_rubber(Identification(sensor, *parts), levels)
+        return with_rubber(replace(once, given=sensor, tension=tension), levels)
 
     return of
 

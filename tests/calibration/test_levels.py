@@ -59,7 +59,7 @@ def found():
 
 def with_levels(dome, *levels, nodes=500):
     settings = Settings(Step.TENSION, ((0, 12),), nodes=nodes, levels=levels)
-    return Workbench(dome, dome.sensor).work(settings).found
+    return Workbench(dome, dome.sensor).work(settings)
 
 
 def test_levels_determine_the_prestretch(found):

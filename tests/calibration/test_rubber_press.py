@@ -101,7 +101,7 @@ def identified(truth, seed=0, air_pa=GIVEN_ATMOSPHERE):
     sensor = with_air(sensor, air_pa)
     source = Press(membranes, gas, DepthCamera.of(sensor.camera), seed)
     found = identify(source, sensor, range(FREE), nodes=300)
-    return found, collect_press(source, found)
+    return found, collect_press(source, found.samples, found.given)
 
 
 @pytest.fixture(scope="module")

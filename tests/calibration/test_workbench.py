@@ -67,10 +67,10 @@ def full(**more):
 
 
 def test_steps_give_the_same_result_as_identify(bench, found):
-    draft = bench.work(full())
-    assert draft.found.tension.tension == found.tension.tension
-    np.testing.assert_array_equal(draft.found.pixels.mask, found.pixels.mask)
-    assert draft.found.sensor == found.sensor
+    stepped = bench.work(full())
+    assert stepped.tension.tension == found.tension.tension
+    np.testing.assert_array_equal(stepped.pixels.mask, found.pixels.mask)
+    assert stepped.sensor == found.sensor
 
 
 @pytest.mark.parametrize(
@@ -83,25 +83,26 @@ def test_steps_give_the_same_result_as_identify(bench, found):
     ],
 )
 def test_only_requested_steps_are_computed(bench, step, known):
-    draft = bench.work(Settings(step, nodes=NODES))
-    names = ("contact_free", "samples", "pixels", "surfaces", "found")
-    assert [name for name in names if getattr(draft, name) is not None] == known
+    found = bench.work(Settings(step, nodes=NODES))
+    names = ("contact_free", "samples", "pixels", "surfaces", "tension")
+    assert [name for name in names if getattr(found, name) is not None] == known
+    assert not found.complete
 
 
 def test_removing_and_restoring_frames_gives_the_same_result(bench):
     whole = bench.work(full(ranges=((0, 20),)))
     less = bench.work(full(ranges=((0, 8), (12, 20))))
     assert less.samples.frames == (*range(8), *range(12, 20))
-    assert less.found.tension.tension.value != whole.found.tension.tension.value
+    assert less.tension.tension.value != whole.tension.tension.value
     reads = bench.source.reads
     again = bench.work(full(ranges=((0, 20),)))
-    assert again.found.tension is whole.found.tension and bench.source.reads == reads
+    assert again.tension is whole.tension and bench.source.reads == reads
 
 
 def test_threshold_recomputes_only_the_pixel_step(bench):
     before = bench.work(full())
     after = bench.work(full(deviations=1.0))
-    assert after.surfaces is before.surfaces and after.found.tension is before.found.tension
+    assert after.surfaces is before.surfaces and after.tension is before.tension
     assert after.pixels.mask.sum() < before.pixels.mask.sum()
 
 
@@ -113,7 +114,7 @@ def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
         calls += 1
         shares.append(done)
 
-    wanted = Workbench(dome, dome.sensor).work(full(), count).found.tension.tension
+    wanted = Workbench(dome, dome.sensor).work(full(), count).tension.tension
     # once from nothing to all, however many steps there are
     assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0
     for stop in (calls // 3, 2 * calls // 3) if LONG else (calls // 2,):
@@ -128,7 +129,7 @@ def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
         fresh = Workbench(dome, dome.sensor)
         with pytest.raises(Cancelled):
             fresh.work(full(), cancel)
-        assert fresh.work(full()).found.tension.tension == wanted
+        assert fresh.work(full()).tension.tension == wanted
 
 
 def test_too_few_frames_are_refused_with_the_source(bench):

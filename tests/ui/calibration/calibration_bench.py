@@ -26,8 +26,8 @@ class Bench(Driver):
         return self.panel.calibration.answer
 
     @property
-    def draft(self):
-        return self.answer.draft
+    def found(self):
+        return self.answer.found
 
     def done(self):
         self.wait(lambda: not self.panel.calibration.busy)

@@ -25,13 +25,13 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
     panel = bench.panel
     assert not panel.strip.isVisible()
     bench.click(panel.next)
-    assert abs(bench.draft.ranges[0][1] - REST) <= 3 and panel.strip.isVisible()
+    assert abs(bench.found.ranges[0][1] - REST) <= 3 and panel.strip.isVisible()
     for step in (Step.PIXELS, Step.SURFACE, Step.TENSION):
         bench.click(panel.next)
         assert bench.answer.work.settings.last_step == step
         assert panel.page.view.image is not None
         assert panel.stack.currentWidget().horizontalScrollBar().maximum() == 0
-    estimate = bench.draft.found.tension
+    estimate = bench.found.tension
     value, half = estimate.tension.value, estimate.tension.half_width
     assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"
     assert estimate.tension.low < TENSION < estimate.tension.high
@@ -51,14 +51,14 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
     for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
         bench.undo()
         assert panel.calibration.settings.last_step == step
-        assert bench.draft.found is None and not panel.verdict.isVisible()
+        assert not bench.found.complete and not panel.verdict.isVisible()
     assert not panel.strip.isVisible()
     panel.go_to(3)
     assert panel.tension.numbers.text("95 % interval") == DASH
     for _ in range(4):
         bench.redo()
     assert bench.answer.work == last.work
-    assert bench.draft.found.tension.tension == last.draft.found.tension.tension
+    assert bench.found.tension.tension == last.found.tension.tension
     # undo while the number box has the focus
     bench.step(2)
     nodes = panel.surface.nodes
@@ -72,23 +72,23 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
 def test_range_ends_are_moved_by_mouse_and_keys(bench):
     panel, strip = bench.panel, bench.panel.strip
     bench.click(panel.next)
-    assert (panel.frames.first.value(), panel.frames.last.value() + 1) == bench.draft.ranges[0]
+    assert (panel.frames.first.value(), panel.frames.last.value() + 1) == bench.found.ranges[0]
     dock = bench.window.panels["calibration"]
     for shown in (False, True):  # the strip is shown with the panel
         dock.setVisible(shown)
         assert strip.isVisible() == shown
     bench.click(panel.next)
-    before, frame = bench.draft, bench.state.frame
+    before, frame = bench.found, bench.state.frame
     stop = before.ranges[0][1]
     bench.move_end(stop - 1, 13)
-    assert bench.draft.ranges == ((0, 14),)
-    assert bench.draft.samples.frames == tuple(range(14))
-    assert bench.draft.pixels is not before.pixels
+    assert bench.found.ranges == ((0, 14),)
+    assert bench.found.samples.frames == tuple(range(14))
+    assert bench.found.pixels is not before.pixels
     bench.move_end(16, 19)  # over empty frames: adds a range
-    assert bench.draft.ranges == ((0, 14), (16, 20))
+    assert bench.found.ranges == ((0, 14), (16, 20))
     bench.undo()
     bench.undo()
-    assert bench.draft is before  # from the cache
+    assert bench.found is before  # from the cache
     strip.setFocus()
     for key, ranges in (
         (Qt.Key.Key_Left, ((0, stop - 1),)),
@@ -97,14 +97,14 @@ def test_range_ends_are_moved_by_mouse_and_keys(bench):
         (Qt.Key.Key_Right, ((1, stop - 2),)),
     ):
         bench.key(key, PLAIN, strip)
-        assert bench.draft.ranges == ranges
+        assert bench.found.ranges == ranges
     assert bench.state.frame == frame and not bench.state.playing
 
 
 def test_frames_are_removed_and_replaced(bench):
     """Results follow the frames; settings of later steps are kept."""
     bench.identify()
-    panel, frames, before = bench.panel, bench.panel.frames, bench.draft
+    panel, frames, before = bench.panel, bench.panel.frames, bench.found
     bench.step(2)
     panel.surface.nodes.setValue(150)
     bench.done()
@@ -112,11 +112,11 @@ def test_frames_are_removed_and_replaced(bench):
     frames.first.setValue(5)
     frames.last.setValue(9)
     bench.click(frames.remove)
-    after = bench.draft
+    after = bench.found
     assert after.ranges == ((0, 5), (10, before.ranges[0][1]))
     assert not set(range(5, 10)) & set(after.samples.frames)
     assert after.contact_free is before.contact_free
-    assert after.found.tension.tension.value != before.found.tension.tension.value
+    assert after.tension.tension.value != before.tension.tension.value
     assert frames.message.text().startswith("frames 0–4, 10–")
 
     def replace(first, last):
@@ -126,10 +126,10 @@ def test_frames_are_removed_and_replaced(bench):
 
     replace("3", "14")
     replaced = bench.answer
-    assert replaced.draft.ranges == ((3, 15),) == panel.strip.ranges
+    assert replaced.found.ranges == ((3, 15),) == panel.strip.ranges
     assert replaced.work.settings.nodes == 150
-    value = replaced.draft.found.tension.tension.value
-    assert value != after.found.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
+    value = replaced.found.tension.tension.value
+    assert value != after.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
     replace("3", "5")
     assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated: settings changed since. ")
@@ -156,7 +156,7 @@ def test_cancel_restores_the_previous_state(drive):
     assert bench.answer is before and panel.calibration.work == work
     assert bench.window.undo_stack.index() == index and not panel.progress.isVisible()
     bench.click(panel.all)  # runs after the other job has ended in the same thread
-    assert bench.draft.found is not None
+    assert bench.found.complete
     assert bench.window.undo_stack.index() == index + 1  # the cancelled job had no effect
 
 
@@ -213,7 +213,7 @@ def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, mo
             assert button.visibleRegion().boundingRect().size() == button.size()
             assert button.mapTo(panel, QPoint()).y() >= panel.stack.geometry().bottom()
     assert not panel.next.isVisible()
-    found, table = bench.draft.found, report.table
+    found, table = bench.found, report.table
     cells = {
         table.item(k, 0).text(): (table.item(k, 1).text(), table.item(k, 2).text())
         for k in range(table.rowCount())
@@ -247,16 +247,16 @@ def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, mo
     bench.click(panel.back)
     assert panel.next.isVisible() and not report.save_as.isVisible()
     # thresholds change only the mask, and a drag is one undo step
-    page, before = bench.panel.pixels, bench.draft
+    page, before = bench.panel.pixels, bench.found
     bench.step(1)
     assert " independent ones" in page.numbers.text("frames")
     assert page.view.image.sum() == before.pixels.mask.sum()
     page.deviations.box.setValue(1.0)
     bench.done()
-    after, used = bench.draft, bench.draft.pixels.mask.sum()
+    after, used = bench.found, bench.found.pixels.mask.sum()
     assert used < before.pixels.mask.sum() and page.view.image.sum() == used
     assert page.numbers.text("used") == f"{used} of {after.pixels.mask.size} pixels"
-    assert after.surfaces is before.surfaces and after.found.tension is before.found.tension
+    assert after.surfaces is before.surfaces and after.tension is before.tension
     page.validity.box.setValue(100.0)
     bench.done()
     assert panel.calibration.settings.min_validity == pytest.approx(1.0)
@@ -305,11 +305,11 @@ def test_another_inflation_level_is_added_and_undone(bench, tmp_path):
     assert page.numbers.text("line") == "offset only"
     page.add_level(tmp_path / "low.mcap")
     bench.done()
-    assert bench.draft.found.pixels.line.levels == 2
+    assert bench.found.pixels.line.levels == 2
     assert "2 levels" in page.numbers.text("line")
     assert page.numbers.text("λ").startswith("not determined: ")
     bench.undo()
-    assert bench.draft.found.pixels.line is None
+    assert bench.found.pixels.line is None
 
 
 def test_known_press_is_predicted_and_drawn(drive, sensor):
@@ -327,7 +327,7 @@ def test_known_press_is_predicted_and_drawn(drive, sensor):
     page.last.setValue(frame)
     bench.click(page.predict)
     assert not bench.window.message.isVisible()
-    found = bench.draft.validation
+    found = bench.found.validation
     assert found.rms_m < 0.3 * found.untouched_rms_m
     assert page.numbers.text("distance, rms") == f"{1e3 * found.rms_m:.3f} mm"
     assert page.view.image.shape == found.predicted_patch.shape
@@ -340,7 +340,7 @@ def test_known_press_is_predicted_and_drawn(drive, sensor):
     assert page.summary.text().startswith("Known press, good") and tip().endswith("done")
     page.pose.setText(" ".join(f"{x:.9g}" for x in [numbers[0] + 0.008, *numbers[1:]]))
     bench.click(page.predict)
-    share = 100.0 * bench.draft.validation.patch_overlap
+    share = 100.0 * bench.found.validation.patch_overlap
     assert page.summary.text().startswith("Known press, poor")
     assert f"overlap by {share:.0f} %" in page.summary.text() and tip().endswith("needs attention")
 
@@ -350,5 +350,5 @@ def test_calibration_of_the_real_press_recording(drive, punyo_press):
     sensor = load_sensor("punyo_oval_d405")
     bench = Bench(drive(lambda _: Recording(punyo_press), sensor=sensor))
     bench.identify()
-    assert len(bench.draft.ranges) == 1 and abs(bench.draft.ranges[0][1] - 60) <= 3
-    assert bench.draft.found.tension.tension.value == pytest.approx(219.3, rel=0.03)
+    assert len(bench.found.ranges) == 1 and abs(bench.found.ranges[0][1] - 60) <= 3
+    assert bench.found.tension.tension.value == pytest.approx(219.3, rel=0.03)

@@ -39,8 +39,8 @@ def test_live_frames_are_collected_until_gamma0_is_precise(drive):
     bench.state.set_playing(False)  # no drawing during the estimate
     bench.wait(lambda: not box.collector.active)
     bench.done()
-    assert 10 <= len(bench.draft.samples.frames) < 400
-    tension = bench.draft.found.tension.of_shape
+    assert 10 <= len(bench.found.samples.frames) < 400
+    tension = bench.found.tension.of_shape
     assert tension.half_width <= 0.05 * tension.value
     assert tension.value == pytest.approx(TENSION, rel=0.02)
     collected = panel.calibration.work.collected
@@ -98,12 +98,12 @@ def test_collecting_again_replaces_the_frames(drive):
     assert panel.steps.button(0).toolTip().endswith("needs attention")
     cameras[0].stuck = None
     bench.collect(9)
-    bench.wait(lambda: len(bench.answer.draft.samples.frames) == 9)
+    bench.wait(lambda: len(bench.answer.found.samples.frames) == 9)
     new = bench.answer
     assert new.work.settings.deviations == 4.0
-    assert new.draft.found.tension.tension.value != old.draft.found.tension.tension.value
+    assert new.found.tension.tension.value != old.found.tension.tension.value
     shown = float(re.search(r"γ0 = (\S+) N/m", panel.verdict.text())[1])
-    assert shown == pytest.approx(new.draft.found.tension.tension.value, rel=0.01)
+    assert shown == pytest.approx(new.found.tension.tension.value, rel=0.01)
     assert "Outdated" not in panel.verdict.text()
 
 

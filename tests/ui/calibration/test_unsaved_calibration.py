@@ -86,9 +86,9 @@ def test_identification_survives_close_and_another_recording_asks_to_save_it(
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
     answered(bench, other, "Save…")
     bench.wait(lambda: bench.state.facts.title == "other.mcap")
-    found = answer.draft.found.tension_n_per_m
+    found = answer.found.tension_n_per_m
     assert load_sensor(out).pneumatics.tension_n_per_m == pytest.approx(found, abs=1e-3)
-    assert bench.draft.found is None
+    assert not bench.found.complete
 
 
 def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, folder):
@@ -108,7 +108,7 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     assert window.isVisible() and bench.panel.calibration.unsaved
     answered(bench, look, "Discard")
     bench.wait(lambda: state.facts.title == "other.mcap")
-    assert state.settings.layers == {"rim"} and bench.draft.found is None
+    assert state.settings.layers == {"rim"} and not bench.found.complete
     window.close()  # no question
     assert not window.isVisible()
 

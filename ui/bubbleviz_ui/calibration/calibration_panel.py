@@ -93,10 +93,9 @@ class CalibrationPanel(QWidget):
 
     def save(self, path: Path) -> None:
         """Write sensor file, mesh, pixels and report in the calibration thread."""
-        work, draft = self.calibration.answer.work, self.calibration.answer.draft
-        found = draft.found
+        work, found = self.calibration.answer.work, self.calibration.answer.found
         initial = self.calibration.initial_sensor
-        if found is None or initial is None:
+        if not found.complete or initial is None:
             return
         benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
         named = replace(found, given=found.given.model_copy(update={"name": path.stem}))
@@ -128,8 +127,8 @@ class CalibrationPanel(QWidget):
 
     def use_sensor(self) -> None:
         """Use the identified sensor with the current source; undo restores the previous one."""
-        found, present = self.calibration.answer.draft.found, self.calibration.controller.sensor
-        if found is None or present is None:
+        found, present = self.calibration.answer.found, self.calibration.controller.sensor
+        if not found.complete or present is None:
             return
         folder = TemporaryDirectory(prefix="bubbleviz-")
         self._folders.append(folder)  # the sensor reads its files again when reopened
@@ -260,7 +259,7 @@ class CalibrationPanel(QWidget):
             colour = getattr(theme.of(self), "doubtful" if outdated else verdict.grade)
             self.verdict.setText(f"{OUTDATED} {verdict.summary}" if outdated else verdict.summary)
             self.verdict.setStyleSheet(f"color: {colour}")
-        self.strip.set_ranges(answer.axis, answer.draft.ranges)
+        self.strip.set_ranges(answer.axis, answer.found.ranges)
         self._show_strip()
 
     def _show_strip(self) -> None:
@@ -277,7 +276,7 @@ class CalibrationPanel(QWidget):
         refused = self._failed_work == self.calibration.work and number == changed
         verdict = answer.verdict(self.units)
         doubtful = verdict is not None and verdict.grade == "doubtful"
-        press = answer.draft.validation
+        press = answer.found.validation
         failed = press is not None and bool(press.failures)
         if refused or (doubtful and page is self.tension) or (failed and page is self.validation):
             return StepState.NEEDS_ATTENTION

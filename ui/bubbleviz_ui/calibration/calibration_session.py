@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PySide6.QtCore import QObject, Signal
 
-from bubbleviz.calibration import Draft, Settings, Step
+from bubbleviz.calibration import Identification, Settings, Step
 from bubbleviz.progress import Progress, part_of
 from bubbleviz.recordings import FrameSource, HeldFrames, TimeAxis
 from bubbleviz.sensor import Sensor
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from bubbleviz.calibration import SensorComparison, Verdict, Workbench
 
 
-# Results of the calibration thread: a draft and its images.
+# Results of the calibration thread: an identification and its images.
 
 
 IMAGES_AT = 0.95
@@ -48,7 +48,7 @@ class Answer:
     """Results of a calibration."""
 
     work: Work
-    draft: Draft
+    found: Identification  # as far as its steps were done
     axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))  # of the source's frames
     # last frame minus surface, before and after rectification, (H, W) each, m
     last: tuple[np.ndarray, np.ndarray] | None = None
@@ -62,30 +62,30 @@ class Answer:
 
     def verdict(self, units: Units) -> Verdict | None:
         """Quality of the identification, in the displayed units; None before there is one."""
-        if self.draft.found is None:
+        if not self.found.complete:
             return None
         from bubbleviz.calibration import judge  # not at start
 
-        return judge(self.draft.found, units.gas_pressure.text)
+        return judge(self.found, units.gas_pressure.text)
 
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:
     """Calibrate and compute everything shown; runs in the calibration thread."""
-    draft = bench.work(work.settings, part_of(progress, 0.0, IMAGES_AT))
+    found = bench.work(work.settings, part_of(progress, 0.0, IMAGES_AT))
     axis = TimeAxis(bench.source.times_s)
-    if draft.found is None:
-        return Answer(work, draft, axis)
+    if not found.complete:
+        return Answer(work, found, axis)
     progress("images", IMAGES_AT)
     # not at start
     from bubbleviz.calibration import SensorComparison, before_after, local_tension_image
 
     return Answer(
         work,
-        draft,
+        found,
         axis,
-        last=before_after(draft.found),
-        local_tension=local_tension_image(draft.found),
-        comparison=SensorComparison.of(in_use, draft.found),
+        last=before_after(found),
+        local_tension=local_tension_image(found),
+        comparison=SensorComparison.of(in_use, found),
         compared_with=in_use,
     )
 
@@ -108,7 +108,7 @@ class Calibration(QObject):
         self.controller, self.undo = controller, undo
         self.work = Work()
         # of `work`, unless it is being computed or has failed
-        self.answer = self._empty = Answer(self.work, Draft(self.settings))
+        self.answer = self._empty = Answer(self.work, Identification())
         self.live = False
         self.name = ""
         self.initial_sensor: Sensor | None = None
@@ -134,7 +134,7 @@ class Calibration(QObject):
     @property
     def unsaved(self) -> bool:
         """Whether there is an identification that was not saved."""
-        return self.answer.draft.found is not None and self.saved != self.answer.work
+        return self.answer.found.complete and self.saved != self.answer.work
 
     @property
     def is_open(self) -> bool:
@@ -256,7 +256,7 @@ class Calibration(QObject):
         self._source, self.initial_sensor = opened.request.source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
         self.work = Work(Settings(nodes=opened.sensor.membrane.nodes))
-        self.answer = self._empty = Answer(self.work, Draft(self.settings))
+        self.answer = self._empty = Answer(self.work, Identification())
         self.saved = None
         self.restarted.emit()
         self.changed.emit()

@@ -105,20 +105,17 @@ class Collector(QObject):
         self.message, self.tension = failed.message, None
         self.changed.emit()
 
-    def _on_estimate(self, tension: Quantity | None) -> None:
+    def _on_estimate(self, tension: Quantity) -> None:
         self.message, self.tension = "", tension
-        if self.tension is not None and (
-            self.tension.half_width <= self._target * self.tension.value
-        ):
+        if tension.half_width <= self._target * tension.value:
             self.finish()
         self.changed.emit()
 
 
-def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantity | None:
+def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantity:
     from bubbleviz.calibration import Workbench  # not at start
 
     nodes = sensor.membrane.nodes
     settings = Settings(last_step=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
-    found = Workbench(frames, sensor).work(settings, progress).found
     # more frames do not reduce the contribution of the gauge pressure
-    return found.tension.of_shape if found is not None else None
+    return Workbench(frames, sensor).work(settings, progress).tension.of_shape

@@ -164,7 +164,7 @@ class FramesPage(Page):
     def show_answer(self, answer: Answer) -> None:
         ranges, before = self.ranges(answer), self.strip.ranges
         self.strip.set_ranges(answer.axis, ranges)
-        self.plot.show_scores(answer.draft.contact_free, answer.axis)
+        self.plot.show_scores(answer.found.contact_free, answer.axis)
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))
         if ranges and ranges != before:  # else keep what was typed
@@ -178,7 +178,7 @@ class FramesPage(Page):
         if not answer.frames:
             self.message.setText("Collect frames of the live source." if live else "")
             return
-        found = answer.draft.contact_free
+        found = answer.found.contact_free
         words = ", ".join(f"{a}–{b - 1}" if b - a > 1 else f"{a}" for a, b in ranges) or "none"
         text = f"frames {words}: {count} of {answer.frames}"
         if found is not None and answer.work.settings.ranges is None:
@@ -187,7 +187,7 @@ class FramesPage(Page):
 
     @staticmethod
     def ranges(answer: Answer) -> Ranges:
-        return answer.draft.ranges
+        return answer.found.ranges
 
     def _step_reached(self) -> Step:
         return max(self.calibration.settings.last_step, Step.FRAMES)

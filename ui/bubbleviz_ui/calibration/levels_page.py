@@ -80,12 +80,13 @@ class RectificationPage(Page):
             f"Further levels: {names}" if levels else "No further levels: an offset for each pixel."
         )
         self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
-        line = answer.draft.pixels.line if answer.draft.pixels is not None else None
-        if line is None or answer.draft.found is None:
-            self.numbers.set("line", None if answer.draft.found is None else "offset only")
+        found = answer.found
+        line = found.pixels.line if found.complete else None
+        if line is None:
+            self.numbers.set("line", "offset only" if found.complete else None)
             self.numbers.set("valid over", None)
             return
-        slope, spread, span = line.typical(answer.draft.found.pixels.mask)
+        slope, spread, span = line.typical(found.pixels.mask)
         text = f"slope of true over measured range {slope:.4f}, σ between pixels {spread:.4f}"
         self.numbers.set("line", f"{text}, {line.levels} levels")
         text = f"{self.units.length.text(span)}; outside, the nearest level's offset"
@@ -93,10 +94,9 @@ class RectificationPage(Page):
 
     def _show_rubber(self, answer: Answer) -> None:
         """Show λ and gauge pressure, or why they are not determined."""
-        found, pressure = answer.draft.found, self.units.gas_pressure
-        rubber = found.rubber if found is not None else None
+        found, pressure, rubber = answer.found, self.units.gas_pressure, answer.found.rubber
         stretch: str | None
-        if found is None:
+        if not found.complete:
             stretch = None
         elif rubber is None:
             stretch = (
@@ -108,10 +108,10 @@ class RectificationPage(Page):
         else:
             stretch = "{}, 95 % interval {} … {}".format(*rubber.prestretch.texts(3))
         self.numbers.set("λ", stretch)
-        gauge = found.tension.gauge if found is not None else None
+        gauge = found.tension.gauge if found.complete else None
         text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
-        rests_on = None if found is None else found.gauge_source
+        rests_on = found.gauge_source if found.complete else None
         self.numbers.set("gauge pressure from", rests_on)
 
     def _choose_vented(self) -> None:

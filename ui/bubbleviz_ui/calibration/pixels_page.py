@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from bubbleviz.calibration import SURFACE_NAMES, Draft, Step, Surfaces
+from bubbleviz.calibration import SURFACE_NAMES, Identification, Step
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
@@ -73,11 +73,8 @@ class PixelsPage(Page):
         return answer.work.settings.last_step >= Step.PIXELS
 
     def show_answer(self, answer: Answer) -> None:
-        settings, samples, pixels = (
-            self.calibration.settings,
-            answer.draft.samples,
-            answer.draft.pixels,
-        )
+        settings, found = self.calibration.settings, answer.found
+        samples, pixels = found.samples, found.pixels
         self.validity.show_value(settings.min_validity or 0.0)
         self.deviations.show_value(settings.deviations)
         self._show_picture(answer)
@@ -96,7 +93,7 @@ class PixelsPage(Page):
         self.numbers.set("frames", f"{statistics.frames}, as good as {effective} independent ones")
 
     def _show_picture(self, answer: Answer) -> None:
-        samples, pixels = answer.draft.samples, answer.draft.pixels
+        samples, pixels = answer.found.samples, answer.found.pixels
         which = self.picture.currentText()
         if samples is None or pixels is None:
             self.view.show_image(which, None, USED, 0.0, 1.0)
@@ -204,28 +201,27 @@ class SurfacePage(Page):
         return answer.work.settings.last_step >= Step.SURFACE
 
     def show_answer(self, answer: Answer) -> None:
-        settings, draft = self.calibration.settings, answer.draft
+        settings, found = self.calibration.settings, answer.found
         self.choice.setCurrentIndex(self.choice.findData(settings.surface))
         with QSignalBlocker(self.nodes):
             self.nodes.setValue(settings.nodes)
-        surfaces, length = draft.surfaces, self.units.fine_length
+        surfaces, length = found.surfaces, self.units.fine_length
         self.paint.setEnabled(surfaces is not None)
-        if surfaces is None or draft.pixels is None:
+        if surfaces is None:
             self.view.show_image("Residual to the surface", None, length, 0.0, 1.0)
             self.numbers.clear()
             return
-        mask = draft.pixels.mask
+        mask = found.pixels.mask
         limit = 3.0 * float(np.std(surfaces.residual_m[mask])) if mask.any() else 1e-3
         self.view.show_image("Mean range minus surface", surfaces.residual_m, length, -limit, limit)
-        self._show_numbers(draft, surfaces)
+        self._show_numbers(found)
 
-    def _show_numbers(self, draft: Draft, surfaces: Surfaces) -> None:
-        length, units = self.units.fine_length, self.units
+    def _show_numbers(self, found: Identification) -> None:
+        length, units, surfaces = self.units.fine_length, self.units, found.surfaces
         self.numbers.set("chosen", surfaces.chosen)
-        if draft.pixels is not None:
-            residual = surfaces.residual_m[draft.pixels.mask]
-            rms = float(np.sqrt(np.mean(residual**2))) if residual.size else None
-            self.numbers.set("residual, rms", length.text(rms))
+        residual = surfaces.residual_m[found.pixels.mask]
+        rms = float(np.sqrt(np.mean(residual**2))) if residual.size else None
+        self.numbers.set("residual, rms", length.text(rms))
         for name, rms in surfaces.left_out_rms_m.items():
             self.numbers.set(f"misfit of {name}", f"{length.text(rms)} rms")
         axes = " · ".join(
@@ -240,12 +236,12 @@ class SurfacePage(Page):
         )
 
     def _paint(self) -> None:
-        draft = self.calibration.answer.draft
-        if draft.surfaces is None or draft.samples is None:
+        found = self.calibration.answer.found
+        if found.surfaces is None:
             return
-        pixels = np.flatnonzero(np.isfinite(draft.surfaces.residual_m))
-        points = draft.samples.camera.points_at(draft.samples.statistics.range_m, pixels)
-        self.painted.emit(points, draft.surfaces.residual_m.ravel()[pixels])
+        pixels = np.flatnonzero(np.isfinite(found.surfaces.residual_m))
+        points = found.samples.camera.points_at(found.samples.statistics.range_m, pixels)
+        self.painted.emit(points, found.surfaces.residual_m.ravel()[pixels])
 
 
 # Step 4: γ0 from the Young–Laplace equation, with its interval and local values.
@@ -276,8 +272,8 @@ class TensionPage(Page):
         return answer.work.settings.last_step >= Step.TENSION
 
     def show_answer(self, answer: Answer) -> None:
-        units, found, unit = self.units, answer.draft.found, self.units.tension
-        if found is None:
+        units, found, unit = self.units, answer.found, self.units.tension
+        if not found.complete:
             self.view.show_image("Local γ0", None, unit, 0.0, 1.0)
             self.numbers.clear()
             self.numbers.set("γ0", unit.text(None))

@@ -168,7 +168,7 @@ class ValidationPage(Page):
         self.paint.clicked.connect(self._paint)
 
     def is_done(self, answer: Answer) -> bool:
-        return answer.draft.validation is not None
+        return answer.found.validation is not None
 
     def show_answer(self, answer: Answer) -> None:
         units, press = self.units, self.calibration.settings.press
@@ -180,10 +180,10 @@ class ValidationPage(Page):
             self.pose.setText(press.pose)
             self.first.setValue(press.first)
             self.last.setValue(press.stop - 1)
-        ready = answer.draft.found is not None and not self.calibration.busy
+        ready = answer.found.complete and not self.calibration.busy
         self.predict.setEnabled(ready)
         self.remove.setEnabled(press is not None)
-        found = answer.draft.validation
+        found = answer.found.validation
         self.paint.setEnabled(found is not None)
         self.numbers.setVisible(found is not None)
         image = found.distance_m if found is not None else None
@@ -219,7 +219,7 @@ class ValidationPage(Page):
         self.calibration.edit("Validate by a known press", press=press, last_step=Step.TENSION)
 
     def _paint(self) -> None:
-        found = self.calibration.answer.draft.validation
+        found = self.calibration.answer.found.validation
         if found is not None:
             known = np.isfinite(found.distance_m)
             self.painted.emit(found.points_m, found.distance_m[known])
