@@ -12,8 +12,9 @@ the camera's fixed pattern, a larger one misses part of the shape.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy import sparse
@@ -24,7 +25,9 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
 
 FOLDS = 5  # of the cross-validation; the usual number
-_DECADES = np.arange(-4.0, 4.5, 0.5)  # log10 of λ over the one that balances data and prior
+_SMOOTHING = 10.0 ** np.arange(-4.0, 4.5, 0.5)  # λ tried, over the one of equal traces
+LeftOut = Callable[[int], tuple[float, np.ndarray]]
+"""Weighted rms, m, and errors (k,) float32 of the λ at a place in `_SMOOTHING`."""
 _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres
 
 
@@ -80,7 +83,7 @@ def fit_free_form(
     prior = _prior(start, scale_m)
     fold = fold_of(pixels, use.shape[1], tile_px)
     correction = np.zeros(len(start.nodes))
-    smoothing = left_out_rms = float("nan")
+    place, left_out_rms = len(_SMOOTHING) // 2, np.nan
     left_out_image, triangle = np.full(range_m.size, np.nan), None
     for k in range(_RELINEARISATIONS):
         nodes = start.nodes + correction[:, None] * arms
@@ -96,16 +99,11 @@ def fit_free_form(
         # λ at which data and prior have equal trace
         unit = float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
         if k < 2:  # later rounds move by micrometres: λ stays
-            near = np.abs(np.log10(smoothing) - _DECADES) < 1.25  # of the coarse search
-            tried = _DECADES[near] if k else _DECADES[::2]
-            priors = [prior * (10.0**decade * unit) for decade in tried]
-            errors = _left_out(D, target, weights, fold[hit], priors)
-            squares = errors.astype(float) ** 2 @ weights / float(weights.sum())
-            best = int(np.argmin(squares))
-            smoothing, left_out_rms = float(10.0 ** tried[best]), float(np.sqrt(squares[best]))
-            left_out_image[hits.ray] = errors[best]
+            errors = _left_out(D, target, weights, fold[hit], prior * unit)
+            place = _best(errors, place, 2 - k)
+            left_out_rms, left_out_image[hits.ray] = errors(place)
         weighted = D.multiply(weights[:, None]).tocsr()
-        matrix = (weighted.T @ D + prior * (smoothing * unit)).tocsc()
+        matrix = (weighted.T @ D + prior * (unit * _SMOOTHING[place])).tocsc()
         correction = symmetric_lu(matrix).solve(weighted.T @ target)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
@@ -144,18 +142,34 @@ def _left_out(
     target: np.ndarray,  # (k,)
     weights: np.ndarray,  # (k,)
     fold: np.ndarray,  # (k,) int
-    priors: Sequence[sparse.csc_array],  # n×n, added to the normal matrix
-) -> np.ndarray:
-    """Errors of linear least squares with each prior, fitted without the fold of a row; (P, k)."""
-    weighted = D.multiply(weights[:, None]).tocsr()
+    prior: sparse.csc_array,  # n×n, added to the normal matrix
+) -> LeftOut:
+    """Errors of linear least squares with the prior times λ, fitted without the fold of a row."""
+    share, weighted = weights / weights.sum(), D.multiply(weights[:, None]).tocsr()
     matrix, right = weighted.T @ D, weighted.T @ target
-    errors = np.empty((len(priors), len(target)), np.float32)
+    folds = []
     for k in range(FOLDS):
         own = np.flatnonzero(fold == k)
-        of_fold, weighted_of_fold, target_of_fold = D[own], weighted[own], target[own]
-        rest = (matrix - weighted_of_fold.T @ of_fold).tocsc()
-        rest_right = right - weighted_of_fold.T @ target_of_fold
-        for error, prior in zip(errors, priors, strict=True):
-            solution = symmetric_lu(rest + prior).solve(rest_right)
-            error[own] = target_of_fold - of_fold @ solution
-    return errors
+        part, of_fold, target_of_fold = weighted[own], D[own], target[own]
+        rest = (matrix - part.T @ of_fold).tocsc(), right - part.T @ target_of_fold
+        folds.append((own, of_fold, target_of_fold, *rest))
+
+    @cache
+    def at(place: int) -> tuple[float, np.ndarray]:
+        errors = np.empty(len(target), np.float32)
+        for own, of_fold, target_of_fold, rest, rest_right in folds:
+            solution = symmetric_lu(rest + prior * _SMOOTHING[place]).solve(rest_right)
+            errors[own] = target_of_fold - of_fold @ solution
+        return float(np.sqrt(errors.astype(float) ** 2 @ share)), errors
+
+    return at
+
+
+def _best(errors: LeftOut, place: int, step: int) -> int:
+    """Place of the λ with the smallest error, by descent from another in steps."""
+    while True:
+        near = [k for k in (place, place - step, place + step) if 0 <= k < len(_SMOOTHING)]
+        better = min(near, key=lambda k: errors(k)[0])
+        if better == place:
+            return place
+        place = better

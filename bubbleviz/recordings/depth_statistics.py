@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.recordings.frame import Frame
+
+_THREADS = 2  # numpy sorts, sums and transforms without the interpreter's lock
 
 # Correlation of depth noise in time and space: cameras filter, so their noise is not white.
 
@@ -67,14 +70,16 @@ def spatial_correlation(
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns."""
     reach = min(reach, min(sigma.shape) // 2)
-    product, pairs = np.zeros(reach + 1), np.zeros(reach + 1)
-    for image in deviations[::stride]:
+
+    def products(image: np.ndarray) -> np.ndarray:
         noise = _standardised(image, sigma)
         used = np.isfinite(noise)
         noise = np.where(used, noise, np.float32(0.0))
-        for axis in (0, 1):
-            product += _lagged_products(noise, axis, reach)
-            pairs += _lagged_products(used.astype(np.float32), axis, reach)
+        both = noise, used.astype(np.float32)
+        return np.array([sum(_lagged_products(each, k, reach) for k in (0, 1)) for each in both])
+
+    with ThreadPoolExecutor(_THREADS) as threads:
+        product, pairs = np.sum(list(threads.map(products, deviations[::stride])), axis=0)
     mean = product / np.maximum(pairs, 1.0)
     return mean / mean[0] if mean[0] > 0.0 else np.eye(1, reach + 1)[0]
 
@@ -160,6 +165,7 @@ LAG = 5  # frames; longer than the memory of the camera's temporal filter
 MIN_FRAMES = 5  # frames below which neither a median nor a spread per pixel means anything
 
 _CLIP_SIGMA = 3.0  # samples further from the median are outliers
+_IMAGES = 20  # for the spatial correlation: neighbours in time are redundant
 _PART = 2**12  # pixels treated at a time, so that their samples fit the processor's cache
 
 
@@ -272,15 +278,19 @@ def measure_depth(
     flat = depth.reshape(len(depth), -1)
     mean, sigma = np.empty((2, flat.shape[1]))
     deviations = np.empty_like(flat)
-    for part in _parts(len(mean)):
+
+    def measure(part: slice) -> None:
         mean[part], sigma[part], deviations[:, part] = _clipped_moments(flat[:, part], quantum)
+
+    with ThreadPoolExecutor(_THREADS) as threads:
+        list(threads.map(measure, _parts(len(mean))))
     deviations = deviations.reshape(depth.shape)
     mean, sigma = (each.reshape(depth.shape[1:]) for each in (mean, sigma))
     temporal = temporal_correlation(deviations, sigma)
     # of the variance, as the mean of the same samples is removed
     share = 1.0 - mean_inflation(temporal) / len(depth)
     noise = np.sqrt(sigma**2 / max(share, 1.0 / len(depth)) + quantum**2 / 12.0)
-    spatial = spatial_correlation(deviations, sigma, stride=max(1, len(depth) // 20))
+    spatial = spatial_correlation(deviations, sigma, stride=-(-len(depth) // _IMAGES))
     return DepthStatistics(
         frames=len(depth),
         validity=valid.mean(axis=0, dtype=np.float32),
