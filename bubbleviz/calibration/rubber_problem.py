@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -80,6 +80,7 @@ _NEWTON_STEPS, _EQUILIBRIUM = 30, 1e-6
 _SLOW = 0.3  # ratio of residuals from which a new factor takes less time than more steps; chosen
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
+T = TypeVar("T")
 Rubber = Callable[[float], RubberMembrane]
 """The membrane as a function of q, under a gauge pressure of 1 Pa."""
 
@@ -176,7 +177,8 @@ class RubberProblem:
         self._start_from_rest()
         tangent = self._rubber(_INITIAL_Q[0]).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
-        self._last: tuple[bytes, list[_PredictedShape] | None] = (b"", None)
+        # shapes, None where the rubber has no equilibrium, and slopes of the last vector
+        self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
 
     def _start_from_rest(self) -> None:
         """Start the next equilibrium solve at rest, not at the shapes found last."""
@@ -193,15 +195,11 @@ class RubberProblem:
 
     # -- model ----------------------------------------------------------------------------------
 
-    def _shapes_at(self, vector: np.ndarray) -> list[_PredictedShape] | None:
-        """Predicted shapes, cached; None where the rubber has no equilibrium."""
-        key = vector.tobytes()
-        if self._last[0] != key:
-            found = self._predicted(vector, self._rubber(float(vector[0])))
-            if found is not None:
-                self._initial = found
-            self._last = key, found
-        return self._last[1]
+    def _solved(self, vector: np.ndarray) -> list[_PredictedShape] | None:
+        found = self._predicted(vector, self._rubber(float(vector[0])))
+        if found is not None:
+            self._initial = found
+        return found
 
     def _predicted(
         self, vector: np.ndarray, membrane: RubberMembrane
@@ -267,7 +265,7 @@ class RubberProblem:
             before = largest
         return None
 
-    def _slopes(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _differentiated(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the changes by the unknowns (D, N), and by the stress at rest (D,)."""
         found, q = self._shapes_at(vector), float(vector[0])
         assert found is not None
@@ -489,6 +487,12 @@ class RubberProblem:
                 )
             )
         return total
+
+
+def _kept(compute: Callable[[np.ndarray], T]) -> Callable[[np.ndarray], T]:
+    """The same function of a vector of floats, keeping its last result."""
+    last = lru_cache(maxsize=1)(lambda key: compute(np.frombuffer(key)))
+    return lambda vector: last(vector.tobytes())
 
 
 def _measured(
