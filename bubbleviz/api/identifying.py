@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from bubbleviz.calibration import (
     save,
 )
 from bubbleviz.errors import InputError
-from bubbleviz.files import parse_pose, restore_on_error
+from bubbleviz.files import parse_pose
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource
 from bubbleviz.rigid_object import load_object
@@ -115,9 +114,7 @@ class Identified(Summary):
         """
         out, folder = Path(out), None if report is None else Path(report)
         args = self.found, self.source, self.started_from, out, folder
-        files = output_files(out, folder, overwrite=overwrite)
-        with restore_on_error(*files) if overwrite else nullcontext():
-            self.numbers = save(*args, progress)
+        self.numbers = save(*args, progress, overwrite=overwrite)
         self.out, self.report = out, folder
         return self.numbers
 

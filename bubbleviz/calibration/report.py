@@ -14,12 +14,13 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.verdict import judge, parameters
+from bubbleviz.calibration.verdict import judge
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
     file_hash,
     portable_path,
     refuse_existing,
+    restore_on_error,
     whole_file,
     write_json,
     write_ply,
@@ -52,9 +53,12 @@ def output_files(
 
 
 def write_sensor(
-    found: Identification, out_toml: str | Path, origin: Origin | None = None
+    found: Identification,
+    out_toml: str | Path,
+    origin: Origin | None = None,
+    report: Path | None = None,  # new folder for `report.html` and `report.json`
 ) -> Sensor:
-    r"""Write `X.toml`, `X.npz` and, for a mesh surface, `X.ply`, all or none; return the sensor.
+    r"""Write `X.toml`, `X.npz`, for a mesh surface `X.ply`, and the report, all or none.
 
     The shipped Punyo preset is made by (move the old files away first)::
 
@@ -63,12 +67,16 @@ def write_sensor(
 
     which keeps the rim plane, camera axes and name of the old preset.
 
+    Returns
+    -------
+    Sensor
+
     Raises
     ------
     InputError
         A file exists, or cannot be written; then nothing is written.
     """
-    path, mesh_path, pixels_path = output_files(out_toml)
+    path, mesh_path, pixels_path, *_ = output_files(out_toml, report)
     origin = origin or {"recording": found.samples.source_name}
     sensor = _described(found, path, origin)
     with ExitStack() as files:
@@ -79,6 +87,8 @@ def write_sensor(
             write_ply(ply, mesh.nodes, {}, mesh.triangles, _MESH_COMMENT)
         found.pixels.save(files.enter_context(whole_file(pixels_path)))
         toml.write_text(_comment(found) + sensor_to_toml(sensor), encoding="utf-8")
+        if report is not None:
+            write_report(found, summary(found, origin), files.enter_context(whole_file(report)))
     return sensor
 
 
@@ -105,22 +115,15 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
 
 def _comment(found: Identification) -> str:
     """Sources of the numbers, as TOML comment lines."""
-    surfaces, tension, free = found.surfaces, found.tension, found.samples.frames
-    axes = "/".join(f"{1e3 * x:.1f}" for x in surfaces.cap.semi_axes_m)
-    misses = {name: f"{1e3 * rms:.3g} mm" for name, rms in surfaces.left_out_rms_m.items()}
+    verdict, free = judge(found), found.samples.frames
     lines = [
         f"Identified from {found.samples.source_name}, contact-free frames within "
         f"{free[0]}–{free[-1]}.",
         "B: origin at the centre of the rim plane; rim plane and axes follow from the camera pose "
         "in the initial sensor file.",
-        "Rms misfit on parts of the cloud that were left out of the fit: sphere"
-        f" {misses['sphere']},",
-        f"ellipsoid of semi-axes {axes} mm {misses['ellipsoid']}, free form"
-        f" {misses['free-form']}. Chosen: {surfaces.chosen}.",
-        "γ0 is from Young–Laplace, summed over the surface so that small bumps do not bias it;",
-        f"100 Pa more of gauge pressure would make it {100 * tension.per_pascal:.2f} N/m larger.",
+        verdict.advice[0],
+        *(f"{each.name}: {each.value} ({each.told_by})." for each in verdict.parameters),
     ]
-    lines += [f"{each.name}: {each.value} ({each.told_by})." for each in parameters(found)]
     return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
@@ -168,12 +171,9 @@ def versions() -> dict[str, str]:
 def write_report(
     found: Identification,
     numbers: dict[str, Any],  # its `summary`
-    folder: str | Path,
+    folder: Path,
 ) -> None:
-    """Write `report.html` and `report.json` in a new folder, both or none.
-
-    Raises InputError: the folder exists or cannot be made.
-    """
+    """Write `report.html` and `report.json` in a new folder."""
     # takes 0.4 s, so not when the window starts
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
@@ -189,10 +189,9 @@ def write_report(
     page = pages.get_template("identification_report.html").render(
         name=found.sensor.name, numbers=numbers, pictures=pictures(found)
     )
-    with whole_file(folder) as temporary:
-        temporary.mkdir()
-        write_json(temporary / "report.json", numbers)
-        (temporary / "report.html").write_text(page, encoding="utf-8")
+    folder.mkdir()
+    write_json(folder / "report.json", numbers)
+    (folder / "report.html").write_text(page, encoding="utf-8")
 
 
 def _rectification(found: Identification) -> dict[str, Any]:
@@ -243,15 +242,17 @@ def save(
     source: FrameSource,  # its frames; hashed where it is a file
     sensor_file: str,  # the sensor file before identification
     out: Path,  # SENSOR.toml; its mesh and pixels go into the same folder
-    report: Path | None,  # new folder
+    report: Path | None,  # folder
     progress: Progress = quiet,
+    *,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write the sensor to `out`, and its report; returns the numbers of the report.
 
     Raises InputError: a file exists or cannot be written. Raises Cancelled: by `progress`. Nothing
     is written in either case.
     """
-    files = output_files(out, report)
+    files = output_files(out, report, overwrite=overwrite)
     path = getattr(source, "path", None)
     origin: Origin = {
         "recording": source.name,
@@ -260,14 +261,7 @@ def save(
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "report": None if report is None else portable_path(report / "report.html", out.parent),
     }
-    numbers = summary(found, origin)
     progress("writing", 0.0)
-    write_sensor(found, out, origin)
-    if report is not None:
-        try:
-            write_report(found, numbers, report)
-        except BaseException:
-            for each in files[:3]:
-                each.unlink(missing_ok=True)  # none existed before: `output_files`
-            raise
-    return numbers
+    with restore_on_error(*files):
+        write_sensor(found, out, origin, report)
+    return summary(found, origin)
