@@ -48,7 +48,6 @@ from .sensor_comparison import (
 from .surface import (
     SURFACE_NAMES as SURFACE_NAMES,
     SurfaceName as SurfaceName,
-    Surfaces as Surfaces,
 )
 from .tension import (
     Quantity as Quantity,

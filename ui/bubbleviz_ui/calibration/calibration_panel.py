@@ -93,17 +93,17 @@ class CalibrationPanel(QWidget):
 
     def save(self, path: Path) -> None:
         """Write sensor file, mesh, pixels and report in the calibration thread."""
-        work, found = self.calibration.answer.work, self.calibration.answer.found
-        initial = self.calibration.initial_sensor
-        if not found.complete or initial is None:
+        answer, initial = self.calibration.answer, self.calibration.initial_sensor
+        work, found, source = answer.work, answer.found, answer.source
+        if not found.complete or source is None or initial is None:
             return
-        benches, report = self.calibration.benches, path.with_name(f"{path.stem}_report")
+        report = path.with_name(f"{path.stem}_report")
         named = replace(found, given=found.given.model_copy(update={"name": path.stem}))
 
         def job(progress: Progress) -> None:
             from bubbleviz.calibration import save  # not at start
 
-            save(named, benches.source(work), initial.name, path, report, progress)
+            save(named, source, initial.name, path, report, progress)
 
         saved = f"Saved {path} and {report.name}"
 

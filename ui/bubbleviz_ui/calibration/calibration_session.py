@@ -49,6 +49,7 @@ class Answer:
 
     work: Work
     found: Identification  # as far as its steps were done
+    source: FrameSource | None = None  # of its frames; may be closed
     axis: TimeAxis = field(default_factory=lambda: TimeAxis(np.zeros(0)))  # of the source's frames
     # last frame minus surface, before and after rectification, (H, W) each, m
     last: tuple[np.ndarray, np.ndarray] | None = None
@@ -74,7 +75,7 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
     found = bench.work(work.settings, part_of(progress, 0.0, IMAGES_AT))
     axis = TimeAxis(bench.source.times_s)
     if not found.complete:
-        return Answer(work, found, axis)
+        return Answer(work, found, bench.source, axis)
     progress("images", IMAGES_AT)
     # not at start
     from bubbleviz.calibration import SensorComparison, before_after, local_tension_image
@@ -82,6 +83,7 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
     return Answer(
         work,
         found,
+        bench.source,
         axis,
         last=before_after(found),
         local_tension=local_tension_image(found),
@@ -117,7 +119,7 @@ class Calibration(QObject):
         self._shown_source: Source | None = None
         self._suspended = False
         self._cache: OrderedDict[Work, Answer] = OrderedDict()
-        self.benches = Workbenches()
+        self._bench = CurrentWorkbench()
         self._worker = Worker("calibration")
         self._worker.progressed.connect(self.progressed)
         controller.opened.connect(self._on_opened)
@@ -190,7 +192,7 @@ class Calibration(QObject):
     def close(self) -> None:
         """Close the source and stop the thread."""
         self._worker.cancel()
-        self._worker.submit(self.benches.close)
+        self._worker.submit(self._bench.close)
         self._worker.close()
 
     def _run(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
@@ -224,10 +226,9 @@ class Calibration(QObject):
         source, initial, in_use = self._source, self.initial_sensor, self.controller.sensor
         if source is None or initial is None or in_use is None:
             return
-        benches = self.benches
 
         def compute(progress: Progress) -> Answer:
-            found = answer(benches.workbench(work, source, initial), work, in_use, progress)
+            found = answer(self._bench.of(work, source, initial), work, in_use, progress)
             release_memory()  # hundreds of MB
             return found
 
@@ -285,37 +286,25 @@ def _size(sensor: Sensor) -> tuple[int, int]:
     return sensor.camera.width, sensor.camera.height
 
 
-class Workbenches:
-    """The workbench of the open source; used in the calibration thread."""
+class CurrentWorkbench:
+    """The workbench of the open source or of collected frames; used in the calibration thread."""
 
     def __init__(self) -> None:
-        self._source: Source | None = None
+        self._frames: Source | HeldFrames | None = None
         self._bench: Workbench | None = None
-        self._collected: tuple[HeldFrames, Workbench] | None = None
 
-    def workbench(self, work: Work, source: Source, initial: Sensor) -> Workbench:
-        """Workbench for a work, created if needed."""
+    def of(self, work: Work, source: Source, initial: Sensor) -> Workbench:
+        """Workbench for a work; the one of other frames is closed."""
         from bubbleviz.calibration import Workbench  # not at start
 
-        if work.collected is not None:
-            if self._collected is None or self._collected[0] is not work.collected:
-                self._collected = (work.collected, Workbench(work.collected, initial))
-            return self._collected[1]
-        if self._bench is None or self._source is not source:
+        if self._bench is None or self._frames is not (work.collected or source):
             self.close()
-            self._bench, self._source = Workbench(source.open(initial), initial), source
+            self._frames = work.collected or source
+            self._bench = Workbench(work.collected or source.open(initial), initial)
         return self._bench
-
-    def source(self, work: Work) -> FrameSource:
-        """Source of a completed work."""
-        if work.collected is not None:
-            return work.collected
-        if self._bench is None:
-            raise AssertionError("internal error: the work has no open source")
-        return self._bench.source
 
     def close(self) -> None:
         """Close the source."""
         if self._bench is not None:
             self._bench.source.close()
-        self._bench = self._collected = None
+        self._bench = None
