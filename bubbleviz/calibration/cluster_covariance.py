@@ -42,7 +42,8 @@ def cluster_covariances(
     # flat indices (P,) of the pixels or blocks fitted, columns of the image, and side of one in
     # pixels
     layout: tuple[np.ndarray, int, int],
-    frames: np.ndarray,  # (F, P), depth or residual of each, m; NaN: no return
+    frames: np.ndarray,  # (F, N), depth or residual, m; NaN: no return
+    places: np.ndarray,  # (P,) int, their places in a frame
     # mean_m, limit_m: (P,), their mean, and the distance from it beyond which samples are ignored
     # (as in the mean), m
     mean_m: np.ndarray,
@@ -57,21 +58,22 @@ def cluster_covariances(
     length = statistics.correlation_length_px / side
     tile = tile_numbers(pixels, columns, tile_side(len(pixels), length))
     tiles, (count, numbers) = int(tile.max()) + 1, influence.shape
-    place = (tile[None] + tiles * np.arange(numbers)[:, None]).ravel()
-    entries = influence.T.ravel(), (place, np.tile(np.arange(count), numbers))
-    sums = sparse.csc_array(entries, shape=(numbers * tiles, count))
-    moving = np.zeros((numbers * tiles, len(frames)))
+    static, moving = np.zeros((numbers, tiles)), np.zeros((numbers, tiles, len(frames)))
     for start in range(0, count, _PART):
         part = slice(start, start + _PART)
-        error = frames[:, part] - mean_m[part]
+        error = frames[:, places[part]] - mean_m[part]
         kept = np.abs(error) <= limit_m[part]
         error = np.where(kept, error, 0.0) / np.maximum(kept.sum(axis=0), 1)
-        moving += sums[:, part] @ error.T
+        first, stop = int(tile[part].min()), int(tile[part].max()) + 1
+        own, at = slice(first, stop), (tile[part] - first, np.arange(error.shape[1]))
+        for k in range(numbers):
+            shape = stop - first, error.shape[1]
+            sums = sparse.csr_array((influence[part, k], at), shape=shape)
+            static[k, own] += sums @ residual_m[part]
+            moving[k, own] += sums @ error.T
         progress("error of the mean", min(1.0, part.stop / count))
-    static = (sums @ residual_m).reshape(numbers, tiles).T
-    moving = moving.reshape(numbers, tiles, -1).transpose(2, 1, 0)
     block = _BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)
-    return covariances(static, moving, parameters, max(1, round(block)))
+    return covariances(static.T, moving.transpose(2, 1, 0), parameters, max(1, round(block)))
 
 
 def covariances(

@@ -473,13 +473,13 @@ class RubberProblem:
             self._observed, influences, residuals, strict=True
         ):
             used = np.flatnonzero(own.any(axis=1))
-            frames = every_m[:, used]
             total += sum(
                 cluster_covariances(
                     statistics,
                     (observer.block_number[used], observer.columns, observer.block),
-                    frames,
-                    np.nan_to_num(np.nanmean(frames, axis=0)),
+                    every_m,
+                    used,
+                    np.nan_to_num(np.nanmean(every_m[:, used], axis=0)),
                     np.full(len(used), np.inf),
                     own[used],
                     residual[used],

@@ -179,7 +179,8 @@ def _errors(samples: FrameSamples, linear: Linear, progress: Progress) -> list[n
     covariances = cluster_covariances(
         statistics,
         (pixels, samples.camera.intrinsics.width, 1),
-        samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels],
+        samples.depth_m.reshape(len(samples.depth_m), -1),
+        pixels,
         np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth),
         np.nan_to_num(_CLIP * noise / to_depth),
         influence * to_depth[:, None],
