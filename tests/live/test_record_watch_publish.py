@@ -304,7 +304,7 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
 
 
 def test_publishing_is_refused_in_one_line():
-    common = ("publish", "--source", "synthetic:", "--duration", "0.1")
+    common = ("publish", "--source", "synthetic:?frames=4", "--duration", "0.1")
     for more, says in (
         (("--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"), "not both"),
         (("--connect", f"tcp/127.0.0.1:{free_port()}"), "no Zenoh session"),
@@ -316,7 +316,7 @@ def test_publishing_is_refused_in_one_line():
 def test_every_image_is_recorded(small_sensor_file, tmp_path):
     """By the publisher's count."""
     out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5
-    with Publisher(str(small_sensor_file), "synthetic:?rate=60") as publisher:
+    with Publisher(str(small_sensor_file), "synthetic:?rate=60&frames=4") as publisher:
         done = run(
             "record", "--source", publisher.uri, "--out", str(out), "--duration", f"{seconds}"
         )

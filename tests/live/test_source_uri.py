@@ -50,7 +50,9 @@ def test_errors_are_one_line_with_the_source(source, says, small_sensor, tmp_pat
     assert "\n" not in str(caught.value)
 
 
-def test_an_open_stream_is_no_source():
-    stream = bv.connect("synthetic:sphere")
-    with pytest.raises(InputError, match=r"not a LiveStream; .* use estimate or track"):
+def test_an_open_stream_is_no_source(small_sensor):
+    with (
+        bv.connect("synthetic:sphere?frames=1", small_sensor) as stream,
+        pytest.raises(InputError, match=r"not a LiveStream; .* use estimate or track"),
+    ):
         bv.watch(stream)

@@ -321,9 +321,10 @@ def refusal(small_sensor, eventually):
 
 
 def test_refused_and_unreachable_endpoints_are_distinguished(
-    small_sensor, certificates, eventually, refusal
+    small_sensor, certificates, eventually, refusal, monkeypatch
 ):
     """Zenoh itself reports both as failed connections."""
+    monkeypatch.setattr("bubbleviz.live.zenoh_session.TIMEOUT_S", 0.5)
     files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "login", "stranger")
     ca, cert, key, other, login, stranger = (str(certificates / name) for name in files)
     port = free_port()
