@@ -45,7 +45,7 @@ def test_colour_is_subscribed_only_while_shown(open_bench):
     pytest.importorskip("cv2")
     live = open_bench()
     heard = connected(live, SpeckledSource(RUBBER), "loop=1")
-    live.wait_for_messages(40)
+    live.wait_for_messages(20)
     assert colours(heard) == 0
     show_images(live, "colour")
     image = lambda: live.inspection.colour  # noqa: E731
@@ -55,7 +55,7 @@ def test_colour_is_subscribed_only_while_shown(open_bench):
     live.wait(lambda: "images" not in live.state.settings.panels)
     live.wait_for_frames()
     heard.clear()
-    live.wait_for_messages(40)
+    live.wait_for_messages(20)
     assert colours(heard) == 0
     live.window.use_scene(load_scene("shear"))
     reference = live.window.shear.reference

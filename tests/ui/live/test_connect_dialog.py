@@ -1,5 +1,6 @@
 """Connect dialog: topics, source argument, error messages."""
 
+import pytest
 from live_bench import record_dents, sensor_file
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
@@ -7,6 +8,7 @@ from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import Credentials, SessionOptions, open_session
 from bubbleviz.recordings import AUTO
+from bubbleviz_ui.live import connect_dialog
 from bubbleviz_ui.live.connect_dialog import (
     KINDS,
     PAIR,
@@ -17,6 +19,15 @@ from bubbleviz_ui.live.connect_dialog import (
 )
 from tests.live.streams import robot
 from tests.recordings.bagmaker import BagMaker, fill
+
+
+@pytest.fixture(autouse=True)
+def answers_soon():
+    """What is typed is looked up at once."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("TYPING_MS", "UPDATE_MS"):
+            patch.setattr(connect_dialog, name, 40)
+        yield
 
 
 def opened(bench, sensor=None):

@@ -176,7 +176,7 @@ def test_frozen_view_shows_one_frame_and_missed_frames_are_no_outage(open_bench)
     live.window.playback.freeze.click()
     live.wait(lambda: live.state.frozen)
     last, before_s = live.state.facts.frames - 1, live.state.facts.times_s[-1]
-    live.wait_for_messages(120)
+    live.wait_for_messages(80)  # nearly a second
     live.window.playback.go_live.click()
     live.wait(lambda: live.state.facts.frames > last + 2)
     assert np.diff(live.state.facts.times_s)[last:].max() > STALE_AFTER_S
