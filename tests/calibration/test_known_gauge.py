@@ -4,6 +4,7 @@ Rubber that was moulded as a dome is stretched unevenly, so that levels alone te
 that is 25 to 40 % too high.
 """
 
+import os
 from dataclasses import replace
 from functools import cache
 
@@ -167,7 +168,8 @@ def rendered_presses():
     shapes, gauge_pa = dome["nodes_m"], dome["gauge_pressure_pa"]
     presses = render("press", camera, shapes, dome["triangles"], gauge_pa, seed=9)
     pairs = list(zip(presses, dome["force_n"], strict=False))
-    return identification(dome, camera, nodes=1000), pairs
+    every = 1 if "TEST_ALL" in os.environ else 3
+    return identification(dome, camera, nodes=1000), pairs[::every]
 
 
 @pytest.mark.parametrize(

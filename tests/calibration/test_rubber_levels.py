@@ -158,7 +158,7 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
 
 
-@pytest.mark.parametrize("off", [-0.02, 0.02])
+@pytest.mark.parametrize("off", [-0.02, pytest.param(0.02, marks=pytest.mark.long)])
 def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found, vented, off):
     """±2 % is the total error band of common sensors; a better one gives a narrower interval."""
     low, high = level(found, 0.85), level(found, 1.15)

@@ -55,7 +55,7 @@ def size_of(found, quantity):
 
 
 def test_the_same_sensor_raises_no_alarm(sensor):
-    for seed in range(20 if "TEST_ALL" in os.environ else 4):
+    for seed in range(20 if "TEST_ALL" in os.environ else 2):
         again = make_twin(noise_seed=100 + seed, frames=REST)
         found = bv.check([again[k] for k in range(REST)], sensor)
         assert found.verdict == "fits", found.reason

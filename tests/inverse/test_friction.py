@@ -16,7 +16,7 @@ from tests.oracles.stuck_press import Motion
 from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
 from tests.shear.drag import Eyes, press, sensor, stuck
 
-EVERY = 1 if "TEST_ALL" in os.environ else 2
+EVERY = 1 if "TEST_ALL" in os.environ else 4
 """Which frames of the presses of another solver are solved."""
 PRODUCTS = frozenset({"patch"})
 DOME = mesh_cap(spherical_cap(0.045, 0.02), 800)
