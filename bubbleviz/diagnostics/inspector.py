@@ -9,7 +9,7 @@ import numpy as np
 
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.inverse import Component, areas_above, components, mean_pressure
-from bubbleviz.membrane import MembraneMesh
+from bubbleviz.membrane import MembraneMesh, faces_from
 from bubbleviz.recordings import FrameColour
 from bubbleviz.result import Estimate, Result
 
@@ -168,7 +168,7 @@ def _ends(image: np.ndarray) -> tuple[float, float]:
     return float(low), float(high)
 
 
-# Probe: a pixel of the depth image with its 3-D point and the nearest node.
+# Probe: a pixel of the depth image or a point, and the place of the membrane on the same ray.
 
 
 Pixel = tuple[int, int]  # row and column
@@ -177,19 +177,33 @@ _MAX_DISTANCE_PX = 4  # from a pixel to the nearest one of the thinned cloud; ch
 
 @dataclass(frozen=True)
 class Probed:
-    """Values of a result at one pixel or point."""
+    """Values of a result at one pixel or point.
+
+    Those of the membrane are linear in a facet between its nodes, as in the pictures.
+    """
 
     pixel: Pixel | None  # row and column; None: outside the image
     point_m: np.ndarray  # (3,), measured point in B; NaN where the pixel has no return
     depth_m: float  # z-depth; NaN where the pixel has no return
-    node: int  # nearest node of the membrane
-    node_m: np.ndarray  # (3,), its current position in B
-    node_pixel: tuple[float, float]  # row and column of its projection
-    # displacement_m, pressure_pa: u and p_c of the node; NaN without an estimate
+    nodes: np.ndarray  # (3,) int, of the facet of the membrane
+    barycentric: np.ndarray  # (3,), coordinates of the place in it
+    membrane_m: np.ndarray  # (3,), the place in B
+    membrane_pixel: tuple[float, float]  # row and column of its projection
+    # displacement_m, pressure_pa: u and p_c there; NaN without an estimate
     displacement_m: float
     pressure_pa: float
-    unexplained_pa: float  # pressure at the node without evidence of contact
+    unexplained_pa: float  # pressure there without evidence of contact
     residual_m: float  # measured minus modelled range of the pixel; NaN if not computed
+
+    @property
+    def node(self) -> int:
+        """The node of the facet that is nearest."""
+        return int(self.nodes[np.argmax(self.barycentric)])
+
+    def interpolated(self, values: np.ndarray) -> np.ndarray:
+        """Value at the place of a nodal field (n, …)."""
+        value: np.ndarray = self.barycentric @ values[self.nodes]
+        return value
 
 
 class Probe:
@@ -199,51 +213,51 @@ class Probe:
         self._camera, self._mesh = camera, mesh
 
     def at_pixel(self, pixel: Pixel, result: Result) -> Probed | None:
-        """Values at a pixel; None outside the image.
-
-        The node is the one nearest to the measured point, or to the ray if there is no return.
-        """
+        """Values at a pixel, and where its ray meets the membrane; None outside the image."""
         height, width = result.frame.depth_m.shape
         row, column = pixel
         if not (0 <= row < height and 0 <= column < width):
             return None
-        nodes = self._nodes(result)
-        point = self._point(pixel, result)
-        away = nodes - (point if np.isfinite(point).all() else self._camera.center)
-        if not np.isfinite(point).all():
-            ray = self._camera.directions[row * width + column]
-            away = away - np.outer(away @ ray, ray)
-        return self._probed(pixel, result, nodes, int(np.argmin(np.sum(away**2, axis=1))))
+        ray = self._camera.directions[row * width + column]
+        return self._probed(pixel, result, ray, self._camera.center)
 
     def at_point(self, point_m: np.ndarray, result: Result) -> Probed:
         """Values at a point (3,) in B, of the drawn membrane or of the cloud."""
-        nodes = self._nodes(result)
-        node = int(np.argmin(np.sum((nodes - point_m) ** 2, axis=1)))
         row, column = (round(c) for c in self._projected(point_m))
         height, width = result.frame.depth_m.shape
         inside = 0 <= row < height and 0 <= column < width
-        return self._probed((row, column) if inside else None, result, nodes, node)
+        ray = point_m - self._camera.center
+        return self._probed((row, column) if inside else None, result, ray, point_m)
 
-    def _probed(self, pixel: Pixel | None, result: Result, nodes: np.ndarray, node: int) -> Probed:
-        estimate = result.trusted_estimate
-        unexplained = None if estimate is None else estimate.unexplained_pressure_pa
+    def _probed(
+        self, pixel: Pixel | None, result: Result, ray: np.ndarray, near_m: np.ndarray
+    ) -> Probed:
+        estimate, mesh = result.estimate, self._mesh
+        nodes_m = mesh.nodes if estimate is None else mesh.deformed(estimate.motion_m)
+        triangle, barycentric = _met(nodes_m, mesh.triangles, self._camera.center, ray, near_m)
+        nodes = mesh.triangles[triangle]
+        place = barycentric @ nodes_m[nodes]
+
+        def value(field: np.ndarray | None, otherwise: float) -> float:
+            return otherwise if field is None else float(barycentric @ field[nodes])
+
+        displacement = pressure = unexplained = None
+        if (trusted := result.trusted_estimate) is not None:
+            displacement, pressure = trusted.displacement_m, trusted.contact_pressure_pa
+            unexplained = trusted.unexplained_pressure_pa
         return Probed(
             pixel=pixel,
             point_m=self._point(pixel, result) if pixel else np.full(3, np.nan),
             depth_m=float(result.frame.depth_m[pixel]) if pixel else np.nan,
-            node=node,
-            node_m=nodes[node],
-            node_pixel=self._projected(nodes[node]),
-            displacement_m=float(estimate.displacement_m[node]) if estimate else np.nan,
-            pressure_pa=float(estimate.contact_pressure_pa[node]) if estimate else np.nan,
-            unexplained_pa=0.0 if unexplained is None else float(unexplained[node]),
+            nodes=nodes,
+            barycentric=barycentric,
+            membrane_m=place,
+            membrane_pixel=self._projected(place),
+            displacement_m=value(displacement, np.nan),
+            pressure_pa=value(pressure, np.nan),
+            unexplained_pa=value(unexplained, 0.0),
             residual_m=_residual(pixel, result) if pixel else np.nan,
         )
-
-    def _nodes(self, result: Result) -> np.ndarray:
-        if result.estimate is None:
-            return self._mesh.nodes
-        return self._mesh.deformed(result.estimate.motion_m)
 
     def _point(self, pixel: Pixel, result: Result) -> np.ndarray:
         """Measured point of a pixel in B, (3,), m."""
@@ -256,6 +270,31 @@ class Probe:
         T = self._camera.T_B_C
         u, v = self._camera.intrinsics.project((point_m - T[:3, 3]) @ T[:3, :3])
         return float(v), float(u)
+
+
+def _met(
+    nodes_m: np.ndarray,
+    triangles: np.ndarray,
+    origin_m: np.ndarray,
+    ray: np.ndarray,
+    near_m: np.ndarray,
+) -> tuple[int, np.ndarray]:
+    """Triangle that a ray meets, nearest to a point, and the coordinates (3,) of the place in it.
+
+    A ray that meets none, beside the rim, gives the edge that it misses least.
+    """
+    volumes = faces_from(nodes_m - origin_m, triangles) @ ray
+    along = volumes.sum(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):  # triangles in a plane with the ray
+        coordinates = volumes / along
+    inside = np.clip(coordinates, 0.0, 1.0)
+    inside /= inside.sum(axis=1, keepdims=True)
+    places = np.einsum("mk,mkx->mx", inside, nodes_m[triangles])
+    missed = np.maximum(-coordinates.min(axis=1), 0.0)
+    missed[~((places - origin_m) @ ray > 0.0)] = np.inf  # behind the camera
+    distance = np.sum((places - near_m) ** 2, axis=1)
+    triangle = int(np.lexsort((distance, missed))[0])
+    return triangle, inside[triangle]
 
 
 def _residual(pixel: Pixel, result: Result) -> float:

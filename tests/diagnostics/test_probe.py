@@ -1,4 +1,4 @@
-"""The probe at a pixel, a node or a point, against independent rays and distances."""
+"""The probe at a pixel or a point, against rays cast by Open3D."""
 
 import sys
 from dataclasses import replace
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from bubbleviz.diagnostics import Probe
+from bubbleviz.membrane import TriangleScene
 from bubbleviz.pipeline import Pipeline
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ui"))
@@ -37,33 +38,62 @@ def nodes_of(pipeline, result):
     return pipeline.mesh.nodes + result.estimate.displacement_m[:, None] * pipeline.mesh.normals
 
 
+def met_by(ray, pipeline, result):
+    """Corners of the facet that a ray from the camera meets, their weights, and the place."""
+    nodes, start = nodes_of(pipeline, result), np.array(SENSOR.camera.position_m)
+    found = TriangleScene(nodes, pipeline.mesh.triangles).cast(np.array([[*start, *ray]]))
+    corners, place = pipeline.mesh.triangles[found.triangle[0]], start + found.distance[0] * ray
+    return corners, np.linalg.solve(nodes[corners].T, place), place
+
+
 @pytest.mark.parametrize("pixel", PIXELS)
-def test_pixel_gives_its_point_and_the_nearest_node(pipeline, result, pixel):
+def test_pixel_gives_its_point_and_the_values_on_its_ray(pipeline, result, pixel):
     found = Probe(pipeline.camera, pipeline.mesh).at_pixel(pixel, result)
     assert found is not None and found.pixel == pixel
     depth = float(result.frame.depth_m[pixel])
     point = np.array(SENSOR.camera.position_m) + depth * ray_of(pixel)
     np.testing.assert_allclose(found.point_m, point, atol=1e-7)
-    nodes = nodes_of(pipeline, result)
-    assert found.node == np.linalg.norm(nodes - point, axis=1).argmin()
-    assert found.displacement_m == result.estimate.displacement_m[found.node]
-    assert found.pressure_pa == result.estimate.contact_pressure_pa[found.node]
-    x, y, z = nodes[found.node] - SENSOR.camera.position_m
-    camera = SENSOR.camera
-    seen = camera.cy + camera.fy * y / z, camera.cx + camera.fx * x / z
-    np.testing.assert_allclose(found.node_pixel, seen, atol=1e-9)
+    corners, weights, place = met_by(ray_of(pixel), pipeline, result)
+    np.testing.assert_allclose(found.membrane_m, place, atol=1e-6)
+    assert found.node == corners[weights.argmax()]
+    displacement, pressure = result.estimate.displacement_m, result.estimate.contact_pressure_pa
+    assert found.displacement_m == pytest.approx(weights @ displacement[corners], abs=1e-6)
+    assert found.pressure_pa == pytest.approx(weights @ pressure[corners], abs=1.0)
+    np.testing.assert_allclose(found.membrane_pixel, pixel, atol=1e-9)
+
+
+def test_pressure_is_continuous_and_that_of_the_picture_at_the_edge_of_the_patch(pipeline, result):
+    """Beside a node without pressure it is not zero as far as a neighbour has some."""
+    pressure, nodes = result.estimate.contact_pressure_pa, nodes_of(pipeline, result)
+    corners = pipeline.mesh.triangles
+    (edge, *_) = np.flatnonzero((pressure[corners] > 0.0).sum(axis=1) == 1)
+    inner = corners[edge][pressure[corners[edge]].argmax()]
+    outer = corners[edge][pressure[corners[edge]].argmin()]
+    probe = Probe(pipeline.camera, pipeline.mesh)
+    for share in (0.0, 0.1, 0.3, 0.6, 1.0):
+        point = nodes[outer] + share * (nodes[inner] - nodes[outer])
+        found = probe.at_point(point, result)
+        assert found.pressure_pa == pytest.approx(share * pressure[inner], abs=1e-6)
+        np.testing.assert_allclose(found.membrane_m, point, atol=1e-12)
 
 
 @pytest.mark.parametrize("pixel", PIXELS)
-def test_pixel_without_a_return_gives_the_node_nearest_to_its_ray(pipeline, result, pixel):
+def test_pixel_without_a_return_gives_the_values_on_its_ray(pipeline, result, pixel):
     depth = result.frame.depth_m.copy()
     depth[pixel] = np.nan
     blind = replace(result, frame=replace(result.frame, depth_m=depth))
     found = Probe(pipeline.camera, pipeline.mesh).at_pixel(pixel, blind)
     assert found is not None and np.isnan(found.point_m).all() and np.isnan(found.depth_m)
-    away = nodes_of(pipeline, result) - SENSOR.camera.position_m
-    from_ray = np.linalg.norm(np.cross(away, ray_of(pixel)), axis=1)
-    assert found.node == from_ray.argmin()
+    np.testing.assert_allclose(
+        found.membrane_m, met_by(ray_of(pixel), pipeline, result)[2], atol=1e-6
+    )
+
+
+def test_pixel_beside_the_membrane_gives_a_place_of_its_rim(pipeline, result):
+    away = replace(result, estimate=None)
+    found = Probe(pipeline.camera, pipeline.mesh).at_pixel((0, 0), away)
+    rim = pipeline.mesh.nodes[pipeline.mesh.rim]
+    assert np.linalg.norm(rim - found.membrane_m, axis=1).min() < pipeline.mesh.edge_length
 
 
 def test_point_of_the_view_gives_its_pixel(pipeline, result):
@@ -72,8 +102,8 @@ def test_point_of_the_view_gives_its_pixel(pipeline, result):
         point = np.array(SENSOR.camera.position_m) + 0.13 * ray_of(pixel)
         found = probe.at_point(point, result)
         assert found.pixel == pixel
-        nodes = nodes_of(pipeline, result)
-        assert found.node == np.linalg.norm(nodes - point, axis=1).argmin()
+        place = met_by(ray_of(pixel), pipeline, result)[2]
+        np.testing.assert_allclose(found.membrane_m, place, atol=1e-6)
     height, width = result.frame.depth_m.shape
     for outside in ((-1, 5), (height, 5), (5, -1), (5, width)):
         point = np.array(SENSOR.camera.position_m) + 0.13 * ray_of(outside)
@@ -83,7 +113,8 @@ def test_point_of_the_view_gives_its_pixel(pipeline, result):
 
 def test_without_an_estimate_the_membrane_is_at_rest(pipeline, result):
     found = Probe(pipeline.camera, pipeline.mesh).at_pixel((30, 40), replace(result, estimate=None))
-    np.testing.assert_array_equal(found.node_m, pipeline.mesh.nodes[found.node])
+    at_rest = found.barycentric @ pipeline.mesh.nodes[found.nodes]
+    np.testing.assert_array_equal(found.membrane_m, at_rest)
     assert np.isnan([found.displacement_m, found.pressure_pa]).all()
 
 

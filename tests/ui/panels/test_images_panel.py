@@ -60,15 +60,16 @@ def test_images_and_view_mark_the_same_probed_place(drive):
     assert "images" not in driver.state.settings.panels
     pointed_at(driver, screen_point(driver, nodes[node]))
     found = driver.window.hover.place
-    assert np.linalg.norm(found.node_m - nodes[node]) < pipeline.mesh.edge_length
+    assert np.linalg.norm(found.membrane_m - nodes[node]) < pipeline.mesh.edge_length
     row, column = found.pixel
     seen = result.cloud_pixels == row * result.frame.depth_m.shape[1] + column
     (residual,) = result.cloud_residual_m[seen]
-    shown = f" p_c {1e-3 * pressure[found.node]:.2f} kPa \n u {1e3 * moved[found.node]:.2f} mm \n"
+    p_c, u = (found.interpolated(field) for field in (pressure, moved))
+    shown = f" p_c {1e-3 * p_c:.2f} kPa \n u {1e3 * u:.2f} mm \n"
     shown += f" residual {1e3 * residual:.3f} mm \n node {found.node} "
     assert shown in view_texts(driver)
     driver.wait_until_shown()
-    assert not near(driver.pixels(), screen_point(driver, found.node_m), NODE)
+    assert not near(driver.pixels(), screen_point(driver, found.membrane_m), NODE)
     pointed_at(driver, AWAY)
     assert shown not in view_texts(driver)
 
@@ -92,14 +93,15 @@ def test_images_and_view_mark_the_same_probed_place(drive):
     y = (row - camera.cy) / camera.fy * depth
     expected = np.array([x, y, depth]) + camera.position_m
     np.testing.assert_allclose(found.point_m, expected, atol=1e-6)
-    assert found.node == np.linalg.norm(driver.nodes() - expected, axis=1).argmin()
+    assert np.linalg.norm(found.membrane_m - expected) < 1e-3
     estimate, text = result.estimate, [label.text() for label in panel.lines]
     assert f"pixel ({column}, {row})" in text[0] and f"depth {1e3 * depth:.2f} mm" in text[0]
     assert text[1].startswith(f"x {1e3 * x:.2f}") and text[1].endswith("mm")
-    u, p_c = (f[found.node] for f in (estimate.displacement_m, estimate.contact_pressure_pa))
+    fields = estimate.displacement_m, estimate.contact_pressure_pa
+    u, p_c = (found.interpolated(field) for field in fields)
     assert text[2] == f"u {1e3 * u:.2f} mm · p_c {p_c / 1e3:.2f} kPa"
     driver.wait_until_shown()
-    place = screen_point(driver, found.node_m)
+    place = screen_point(driver, found.membrane_m)
     assert near(driver.pixels(), place, NODE) and not near(before, place, NODE)
     for name in ("depth", "change"):
         marks = panel.cells[name].pixel.getData()

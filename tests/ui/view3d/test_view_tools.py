@@ -103,11 +103,25 @@ def test_probe_and_distance_by_clicks(drive):
     node = hottest(driver)
     driver.click(view, screen_point(driver, node))
     found = tools.picked.place
-    assert found is not None and np.linalg.norm(found.node_m - node) < 0.01
+    assert found is not None and np.linalg.norm(found.membrane_m - node) < 0.01
     assert "kPa" in tools.reading[2].text() and f"node {found.node}" in tools.reading[0].text()
     driver.wait_until_shown()
-    assert near(driver.pixels(), screen_point(driver, found.node_m), NODE)
+    assert near(driver.pixels(), screen_point(driver, found.membrane_m), NODE)
     before = tools.reading[2].text()
+    # in the middle between a node in contact and one outside, as the picture shows it
+    estimate, triangles = driver.result.estimate, driver.pipeline.mesh.triangles
+    pressure = estimate.contact_pressure_pa
+    (edge, *_) = np.flatnonzero((pressure[triangles] > 0.0).sum(axis=1) == 1)
+    inner = triangles[edge][pressure[triangles[edge]].argmax()]
+    outer = next(corner for corner in triangles[edge] if corner != inner)
+    for larger in (1.0, 3.0):
+        driver.choose(exaggeration=larger)
+        drawn = driver.pipeline.mesh.deformed(larger * estimate.motion_m)
+        driver.click(view, screen_point(driver, 0.5 * (drawn[inner] + drawn[outer])))
+        read = tools.picked.place.pressure_pa
+        assert read == pytest.approx(0.5 * pressure[inner], rel=0.2)
+        assert f"p_c {1e-3 * read:.2f} kPa" in tools.reading[2].text()
+    driver.choose(exaggeration=1.0)
     driver.seek(2)
     assert tools.reading[2].text() != before and tools.picked.place.pressure_pa == 0.0
     # without the panel both are shown in the view until Escape

@@ -126,6 +126,6 @@ def friction_text(result: Result, units: Units) -> str:
 
 def pressure_text(place: Probed, units: Units) -> str:
     """Contact pressure at a point, or the pressure there without evidence of contact."""
-    if place.unexplained_pa > 0.0:
+    if place.unexplained_pa > place.pressure_pa:  # both between two such nodes
         return f"{units.pressure.text(place.unexplained_pa)} without evidence of contact"
     return f"p_c {units.pressure.text(place.pressure_pa)}"

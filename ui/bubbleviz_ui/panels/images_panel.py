@@ -126,7 +126,7 @@ class ImageCell:
             self.box.setRange(self.item.boundingRect(), padding=0.01)
 
     def mark(self, place: Probed | None) -> None:
-        """Mark the pixel of a probed place and the projection of its node."""
+        """Mark the pixel of a probed place and the projection of its point of the membrane."""
         pixel = place.pixel if place is not None else None
         ring = ([], []) if pixel is None else ([pixel[1] + 0.5], [pixel[0] + 0.5])
         for item in (self.halo, self.pixel):
@@ -134,7 +134,7 @@ class ImageCell:
         if place is None:
             self.node.setData([], [])
         else:
-            row, column = place.node_pixel
+            row, column = place.membrane_pixel
             self.node.setData([column + 0.5], [row + 0.5])
 
     def paint(self, dim: QColor, text: QColor) -> None:
@@ -353,7 +353,7 @@ def probe_lines(place: Probed | None, units: Units) -> tuple[str, str, str]:
         return "Point at an image or the membrane:", "the same place is marked everywhere", ""
     length = units.length
     seen = f"pixel ({place.pixel[1]}, {place.pixel[0]})" if place.pixel else "outside the image"
-    point = place.point_m if np.isfinite(place.point_m).all() else place.node_m
+    point = place.point_m if np.isfinite(place.point_m).all() else place.membrane_m
     x, y, z = (f"{length.from_si(float(c)):.{length.digits}f}" for c in point)
     return (
         f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",

@@ -45,7 +45,7 @@ class Surface:
 
     def set_mesh(self, mesh: MembraneMesh) -> None:
         """Set the reference mesh of another sensor."""
-        self._mesh = mesh
+        self._mesh, self._true_m = mesh, mesh.nodes
         self.poly.point_data.clear()
         self.poly.points = mesh.nodes
         self.poly.faces = cells(mesh.triangles)
@@ -63,29 +63,22 @@ class Surface:
 
     def shape_of(self, estimate: Estimate | None, exaggeration: float = 1.0) -> Shape | None:
         """Estimated shape with exaggerated displacement; None without an estimate."""
-        self._exaggeration_m = None
         if estimate is None or self._mesh is None:
             return None
+        self._true_m = self._mesh.deformed(estimate.motion_m)
         nodes = self._mesh.deformed(exaggeration * estimate.motion_m)
-        if exaggeration != 1.0:
-            self._exaggeration_m = nodes - self._mesh.deformed(estimate.motion_m)
         normals = replace(self._mesh, nodes=nodes).normals
         return Shape(nodes, normals, estimate.contact_pressure_pa)
 
-    def without_exaggeration(self, point_m: np.ndarray) -> np.ndarray:
-        """Position in B, without exaggeration, of a point (3,) on the drawn surface."""
-        if self._exaggeration_m is None:
-            return point_m
-        away = np.sum((np.asarray(self.poly.points) - point_m) ** 2, axis=1)
-        return point_m - self._exaggeration_m[int(np.argmin(away))]
+    def true_point(self, triangle: int, barycentric: np.ndarray) -> np.ndarray:
+        """Position (3,) in B, without exaggeration, of a place of the drawn surface."""
+        assert self._mesh is not None
+        point: np.ndarray = barycentric @ self._true_m[self._mesh.triangles[triangle]]
+        return point
 
-    def drawn_node(self, place: Probed) -> np.ndarray:
-        """Drawn position (3,) in B of the node of a probed place."""
-        if self._exaggeration_m is None:
-            return place.node_m
-        return place.node_m + self._exaggeration_m[place.node]
-
-    _exaggeration_m: np.ndarray | None = None
+    def drawn_point(self, place: Probed) -> np.ndarray:
+        """Drawn position (3,) in B of a probed place of the membrane."""
+        return place.interpolated(np.asarray(self._points))
 
     def draw(self, shape: Shape) -> None:
         """Update vertices, normals and colours in place."""

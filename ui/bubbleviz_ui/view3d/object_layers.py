@@ -165,7 +165,7 @@ def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
     return np.concatenate(pieces)
 
 
-# Marks of a probed place: measured point, node, and the camera's ray.
+# Marks of a probed place: measured point, point of the membrane, and the camera's ray.
 
 
 class ProbeMarks:
@@ -196,12 +196,12 @@ class ProbeMarks:
         self._camera_m = np.asarray(position_m, float)
 
     def show(self, place: Probed | None, drawn_m: np.ndarray | None = None) -> None:
-        """Mark a probed place, or none; `drawn_m` (3,): exaggerated position of its node."""
+        """Mark a probed place, or none; `drawn_m` (3,): exaggerated position on the membrane."""
         measured = place is not None and bool(np.isfinite(place.point_m).all())
         if place is not None:
-            node = place.node_m if drawn_m is None else drawn_m
-            point = place.point_m if measured else node
-            self._dots.points[:] = np.array([point, node])
+            membrane = place.membrane_m if drawn_m is None else drawn_m
+            point = place.point_m if measured else membrane
+            self._dots.points[:] = np.array([point, membrane])
             self._ray.points[:] = np.array([self._camera_m, point])
             self._dots.Modified()
             self._ray.Modified()

@@ -164,7 +164,7 @@ class Scene:
         view.pointer_props += [*self.marks.actors, self._text.actor]
         cut = [actor for layer in self.layers.values() if layer.clipped for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
-        self._picker = Picker(view, self.layers["membrane"].actor, self.layers["cloud"].actor)
+        self._picker = Picker(view, self._surface, self.layers)
         self.depth_camera: DepthCamera | None = None
         view.resized.connect(self._fit_unless_moved)
         view.setMinimumSize(2 * WIDTH, MIN_HEIGHT)
@@ -257,13 +257,13 @@ class Scene:
 
     def mark(self, place: Probed | None) -> None:
         """Show the numbers of a probed place, and mark it if the images panel is open."""
-        drawn_m = self.drawn_node(place)
+        drawn_m = self.drawn_point(place)
         self._text.show(place, drawn_m)
         self.marks.show(place if "images" in self._settings.panels else None, drawn_m)
 
-    def drawn_node(self, place: Probed | None) -> np.ndarray | None:
-        """Drawn position (3,) in B of the node of a probed place; None without a place."""
-        return self._surface.drawn_node(place) if place is not None else None
+    def drawn_point(self, place: Probed | None) -> np.ndarray | None:
+        """Drawn position (3,) in B of a probed place of the membrane; None without a place."""
+        return self._surface.drawn_point(place) if place is not None else None
 
     def bar_at(self, x: float, y: float) -> ColourBar | None:
         """Colour bar at a position of the view, or None."""
@@ -272,8 +272,7 @@ class Scene:
 
     def pick(self, x: float, y: float) -> np.ndarray | None:
         """Point (3,) in B, without exaggeration, at a position of the view, or None."""
-        point = self._picker.at(x, y)
-        return None if point is None else self._surface.without_exaggeration(point)
+        return self._picker.at(x, y)
 
     def _fit_unless_moved(self) -> None:
         """Show the whole membrane, unless the user has moved the camera."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -18,7 +19,7 @@ from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkWindowToImageFilter
 from bubbleviz.camera import DepthCamera
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.layer import Surface, add_mark
+from bubbleviz_ui.view3d.layer import Layer, Surface, add_mark
 from bubbleviz_ui.view3d.render_view import POINTS_PER_INCH, View
 from bubbleviz_ui.view3d.text import left_of_bars
 
@@ -77,19 +78,21 @@ class Picker:
     Hidden and clipped parts are not picked.
     """
 
-    def __init__(self, view: View, surface: Any, cloud: Any) -> None:
-        self._view, self._surface, self._cloud = view, surface, cloud
+    def __init__(self, view: View, surface: Surface, layers: Mapping[str, Layer]) -> None:
+        self._view, self._surface = view, surface
+        self._membrane, self._cloud = layers["membrane"].actor, layers["cloud"].actor
         self._surface_picker = vtkCellPicker()
         self._surface_picker.SetTolerance(0.0)
         self._surface_picker.PickFromListOn()
-        self._surface_picker.AddPickList(surface)
+        self._surface_picker.AddPickList(self._membrane)
 
     def at(self, x: float, y: float) -> np.ndarray | None:
-        """Point (3,) in B at a position of the view in Qt pixels; None if there is none."""
+        """Point (3,) in B, without exaggeration, at a position in Qt pixels, or None."""
         ratio, picker = self._view.devicePixelRatioF(), self._surface_picker
         left, up = ratio * x, self._view.height() * ratio - ratio * y - 1.0
-        if self._surface.GetVisibility() and picker.Pick(left, up, 0.0, self._view.renderer):
-            return np.array(picker.GetPickPosition())
+        if self._membrane.GetVisibility() and picker.Pick(left, up, 0.0, self._view.renderer):
+            r, s, _ = picker.GetPCoords()
+            return self._surface.true_point(picker.GetCellId(), np.array([1.0 - r - s, r, s]))
         return self._in_cloud(x, y) if self._cloud.GetVisibility() else None
 
     def _in_cloud(self, x: float, y: float) -> np.ndarray | None:

@@ -169,7 +169,7 @@ class ViewTools(QWidget):
         self._show_reading()
 
     def _on_picked(self, place: Probed | None) -> None:
-        self._marks.show(place, self._scene.drawn_node(place))
+        self._marks.show(place, self._scene.drawn_point(place))
         self._show_reading()
 
     def _show_reading(self) -> None:
@@ -178,7 +178,7 @@ class ViewTools(QWidget):
         if length_m is not None:
             self._text.show(length_m, self.distance.middle_m)
         else:
-            self._text.show(place, self._scene.drawn_node(place))
+            self._text.show(place, self._scene.drawn_point(place))
         lines = HINTS[self.tool]
         units, ends = self._state.units, self.distance.points_m
         if self.tool == "probe" and place is not None:
