@@ -105,7 +105,8 @@ class Pipeline:
         self._state: Any = None  # for the warm start; the type depends on the estimator
         self.optical_flow: FlowFunction | None = None  # see `use_optical_flow`
         self._colour_camera = self.camera
-        self._slip_state: SlipStart | None = None
+        # before and after the last frame
+        self._slip_starts: tuple[SlipStart | None, SlipStart | None] = (None, None)
 
     @classmethod
     def of(
@@ -191,7 +192,8 @@ class Pipeline:
 
     def restart(self) -> None:
         """Discard the warm start: the next frame is solved from rest."""
-        self._state = self._slip_state = None
+        self._state = None
+        self._slip_starts = (None, None)
 
     def converge(self, frame: Frame) -> None:
         """Warm-start the next solve from the converged solution of this frame.
@@ -287,7 +289,7 @@ class Pipeline:
     ) -> None:
         """Use optical flow, where it is requested, from the next frame on."""
         self.optical_flow, self._colour_camera = optical_flow, camera or self.camera
-        self._slip_state = None
+        self._slip_starts = (None, None)
         for name in ("flow_observer", "_slip_finder"):
             self.__dict__.pop(name, None)
 
@@ -405,9 +407,12 @@ class Pipeline:
         return replace(result, traction=found)
 
     def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
-        slip, self._slip_state = self._slip_finder.find(
-            _required(result.traction), result.flow, self._slip_state
-        )
+        frame, (before, after) = result.frame, self._slip_starts
+        again = after is not None and after.frame == frame.index  # compared with the same anchors
+        start = before if again else after
+        traction = _required(result.traction)
+        slip, after = self._slip_finder.find(traction, result.flow, frame, start)
+        self._slip_starts = start, after
         return replace(result, slip=slip)
 
     def _cloud_stage(self, result: Result, options: FrameOptions) -> Result:

@@ -23,11 +23,15 @@ from bubbleviz.result import Slip, Traction
 
 if TYPE_CHECKING:
     from bubbleviz.camera import FlowField
+    from bubbleviz.recordings import Frame
 
 
 _FALSE_ALARMS = 0.01  # share of frames without slip in which noise may be detected as slip
 _MIN_STUCK = 4  # points for the fit of a rigid motion; three would always fit
 _ROUNDS = 20  # of reweighting, which converges in about ten
+# Longest time between two frames of one contact, s; an object can be lifted and put down in more.
+_MOST_STEP_S = 2.0  # between consecutive frames, as some recordings are slow
+_MOST_JUMP_S = 0.3  # where frames between them were left out
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,13 @@ class SlipStart:
     anchor_m: np.ndarray
     covariance: np.ndarray  # (k, 3, 3), of the anchors, m²
     stuck: np.ndarray  # (k,) bool, points that have not slipped since
+    frame: int  # index and time of the frame it was found in
+    time_s: float
+
+    def leads_to(self, frame: Frame) -> bool:
+        """Whether the contact of a later frame is surely the same."""
+        elapsed_s, step = frame.time_s - self.time_s, frame.index - self.frame
+        return 0.0 <= elapsed_s <= (_MOST_STEP_S if step == 1 else _MOST_JUMP_S) and step > 0
 
 
 class SlipFinder:
@@ -59,21 +70,22 @@ class SlipFinder:
         self,
         traction: Traction,
         flow: FlowField | None,  # used for that traction
-        start: SlipStart | None = None,  # of the previous frame
+        frame: Frame,
+        start: SlipStart | None = None,  # of an earlier frame, perhaps in another contact
     ) -> tuple[Slip | None, SlipStart | None]:
         """Slip of one frame, None if too few points stick; and the state for the next frame."""
         if traction.status != "ok" or flow is None:
             return None, None
         point, pinned = self._inside(traction, flow)
-        if start is None:
-            start = SlipStart(
-                point[:0], pinned.position[:0], pinned.covariance[:0], np.zeros(0, bool)
-            )
+        now = frame.index, frame.time_s
+        all_stuck = np.ones(len(point), bool)
+        first = SlipStart(point, pinned.position, pinned.covariance, all_stuck, *now)
+        if start is None or not start.leads_to(frame):
+            return None, first
         _, known, before = np.intersect1d(point, start.point, return_indices=True)
         stuck = start.stuck[before]
         if np.count_nonzero(stuck) < _MIN_STUCK:
-            all_stuck = np.ones(len(point), bool)
-            return None, SlipStart(point, pinned.position, pinned.covariance, all_stuck)
+            return None, first
         moved = _Motions.of(pinned, known, start.anchor_m[before], start.covariance[before])
         motion = moved.relative_to_stuck(stuck)
         area = pinned.area[known]
@@ -92,7 +104,7 @@ class SlipFinder:
         covariance[known] = start.covariance[before]
         sticks = np.ones(len(point), bool)
         sticks[known] = stuck & ~slip.slipping
-        return slip, SlipStart(point, anchors, covariance, sticks)
+        return slip, SlipStart(point, anchors, covariance, sticks, *now)
 
     def _inside(self, traction: Traction, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
         """Points that are surely inside the patch, and their positions.

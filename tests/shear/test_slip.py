@@ -1,5 +1,7 @@
 """Slip is detected soon after its onset, and not while everything sticks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,28 @@ def test_no_alarm_by_errors_of_facets():
         found.append(eyes.pipeline.process(frame, frozenset({"slip"})).slip)
     assert found[0] is None  # nothing to compare with
     assert [slip is not None and slip.share for slip in found[1:]] == [0.0, 0.0, 0.0]
+
+
+def test_slip_is_measured_from_the_same_contact_only():
+    """A jump or an outage may have led to another contact; frames left out in playback have not."""
+    path, _ = press("puck", 0.005)
+    eyes = Eyes(1000)
+    motions = [Motion(k * STEP_M * np.array([1.0, 0.3, 0.0]), 0.0) for k in range(4)]
+    frames = [eyes.see(truth, k) for k, truth in enumerate(path.along(motions))]
+
+    def slip_of(index, time_s):
+        frame = replace(frames[index], time_s=time_s)
+        return eyes.pipeline.process(frame, frozenset({"slip"})).slip
+
+    assert slip_of(0, 0.0) is None  # nothing to compare with
+    assert slip_of(0, 0.0) is None  # nor when the same frame is solved again
+    assert slip_of(1, 0.1) is not None
+    assert slip_of(3, 0.2) is not None  # a frame was left out
+    assert slip_of(3, 0.2) is not None
+    assert slip_of(1, 0.1) is None  # back
+    assert slip_of(2, 0.2) is not None
+    assert slip_of(3, 5.0) is None  # after an outage
+    eyes.pipeline.restart()
+    assert slip_of(0, 0.0) is None
+    assert slip_of(2, 1.0) is None  # jumped forward
+    assert slip_of(3, 2.0) is not None  # the next frame of a slow recording

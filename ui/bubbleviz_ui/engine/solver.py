@@ -178,7 +178,7 @@ class OpenSource:
             return Result(frame)
         if stream is not None:
             frame = self.zeros.zeroed(frame, pipeline)
-        products = self.shear.products(self.source, pipeline, frame.index, demand)
+        products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
         if cold:
             pipeline.converge(frame)
@@ -387,7 +387,7 @@ class Solver:
             current = OpenSource(request.source, source, pipeline, settings, bias)
             if stream is not None:
                 current = replace(current, zeros=Zeros(stream.zero, ImageZero()))
-            products = current.shear.products(source, pipeline, frame.index, request.demand)
+            products = current.shear.products(source, pipeline, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
             measured_pa = frame.gas_pressure_pa
             if current.recording is not None:

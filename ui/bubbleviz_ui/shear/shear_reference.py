@@ -32,24 +32,20 @@ class ShearReference:
         self._preset: FlowPreset | None = None
         self._possible = True
         self._passing: PassingTexture | None = None
-        self._frame = 0
 
     def reset(self) -> None:
         """Search the reference again at the next frame."""
         self._preset = None
 
     def products(
-        self, source: FrameSource, pipeline: Pipeline, index: int, demand: Demand
+        self, source: FrameSource, pipeline: Pipeline, demand: Demand
     ) -> frozenset[Product]:
-        """Products of a demand that are possible for a frame; provides the reference if needed."""
+        """Products of a demand that are possible; provides the reference if needed."""
         if not demand.products & FLOW_PRODUCTS:
             return demand.products
         if demand.flow_preset != self._preset:
             self._preset, self._passing = demand.flow_preset, None
             self._begin(source, pipeline, demand.flow_preset)
-        elif index < self._frame:
-            pipeline.restart()  # slip needs frames in order
-        self._frame = index
         return demand.products if self._possible else demand.products - FLOW_PRODUCTS
 
     def add_frame(self, result: Result) -> None:
