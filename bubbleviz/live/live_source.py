@@ -40,6 +40,7 @@ class LiveSource:
         self.link: Link = "connecting"
         self.topics: tuple[OfferedTopic, ...] = ()  # found so far, of the types used here
         self.missed = 0  # messages lost on the way, by the publishers' sequence numbers
+        self.preparing = ""  # what it does before the first message, as text
         self.problem = ""  # failure of the source itself as text; empty without one
         self._with_colour = False
         self._stopped = threading.Event()

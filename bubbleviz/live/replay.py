@@ -141,15 +141,18 @@ class SyntheticLive(LiveSource):
     ) -> None:
         super().__init__(name)
         self._make, self._rate, self._ahead = make, rate_hz, ahead
+        self.preparing = "simulating the first images"
         self._messages = messages or FrameMessages()
 
     def _run(self, deliver: Deliver) -> None:
         simulation = self._make()
         messages_of = cache(lambda k: list(self._messages.of(simulation[k])))
         try:
-            for k in range(len(simulation) if self._ahead else 1):
+            first = len(simulation) if self._ahead else 1
+            for k in range(first):
                 if self._stopped.is_set():
                     return
+                self.preparing = f"simulating the first images, {k + 1} of {first}"
                 messages_of(k)
             self.topics = tuple(OfferedTopic(m.topic, m.type) for m in messages_of(0))
             self.link = "up"

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from dataclasses import replace
 from threading import Event
 
@@ -327,6 +328,24 @@ def test_memory_is_released_when_idle_and_not_during_playback(qtbot, wait):
     assert not given.is_set()
     state.set_playing(False)
     wait(given.is_set)
+    giving.close()
+
+
+@pytest.mark.parametrize("playing", [False, True])
+def test_closed_sources_are_collected_when_idle_and_during_endless_playback(wait, playing):
+    class Held:
+        """Refers to itself, as the objects of a source do."""
+
+        def __init__(self):
+            self.itself = self
+
+    state, given = SessionState(), Event()
+    giving = MemoryRelease(state, given.set, 20, 0.05)
+    closed = weakref.ref(Held())
+    assert closed() is not None
+    state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=playing)
+    wait(given.is_set)
+    assert closed() is None
     giving.close()
 
 

@@ -20,7 +20,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import save_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui import main_window
-from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.engine.source import SYNTHETIC, Source
 from bubbleviz_ui.window_session import window_session
 
 FRAMES = 3
@@ -208,3 +208,19 @@ def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
     driver.drop(recording)
     driver.wait(lambda: name() == "own dome")
     assert asked == [("Sensor file for images of 60×44 pixels", file)]
+
+
+def test_synthetic_press_shows_its_first_frame_before_it_simulates_the_others(sensor, monkeypatch):
+    simulated, contact = [], SyntheticSource.contact
+
+    def counted(source, index):
+        simulated.append(index)
+        return contact(source, index)
+
+    monkeypatch.setattr(SyntheticSource, "contact", counted)
+    press = SYNTHETIC.open(sensor)
+    assert np.isfinite(press[0].depth_m).any() and set(simulated) == {0}
+    first, again = press[70].depth_m, press[70].depth_m
+    assert simulated == [0, 70]  # the next loop only differs in noise
+    np.testing.assert_allclose(first, again, atol=0.02)
+    press.close()

@@ -70,7 +70,10 @@ def test_badge_is_connecting_until_the_first_picture(open_bench):
 def test_wait_for_a_simulation_is_explained_as_such(open_bench):
     live = open_bench()
     live.live_controller.connect_to(single("synthetic:?frames=600", sensor_file(live.folder)))
-    live.wait(lambda: "simulating the first images" in live.window.live.state.text())
+    text = live.window.live.state.text
+    live.wait(lambda: "simulating the first images, " in text() and " of 600" in text())
+    before = text()
+    live.wait(lambda: " of 600" in text() and text() != before)
     live.click(live.window.live.leave)
 
 

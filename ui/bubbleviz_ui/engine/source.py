@@ -94,19 +94,14 @@ def sensor_for(path: Path, *known: Sensor) -> Sensor:
 def _synthetic(sensor: Sensor) -> FrameSource:
     """Open the built-in synthetic press, which the window loops as a live sensor.
 
-    All frames are simulated in advance, within seconds, so that the first loop does not stutter.
-    Only the noise differs between loops.
+    A frame is simulated when it is first shown; only the noise differs between loops.
     """
     # not at start: opening a recording needs no simulator
     from bubbleviz.simulation import SyntheticSource, default_press
 
     press, nodes = default_press(sensor), LIVE_NODE_RATIO * sensor.membrane.nodes
-    source = CachedSource(
-        SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
-    )
-    for index in range(len(source)):
-        _ = source[index]
-    return NoisyLoop(source, press.camera, press.noise)
+    source = SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
+    return NoisyLoop(CachedSource(source), press.camera, press.noise)
 
 
 class _EmptySource:

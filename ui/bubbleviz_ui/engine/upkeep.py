@@ -49,8 +49,8 @@ def _collect() -> None:
 
 
 IDLE_MS = 3000
-LIVE_EVERY_S = 10.0
-"""Period for a live source, which may never be idle; at 60 Hz about 3 MB/s accumulate."""
+PLAYING_EVERY_S = 10.0
+"""Period during playback, which may never end; at 60 Hz about 3 MB/s accumulate."""
 
 
 def release_memory() -> None:
@@ -62,9 +62,12 @@ def release_memory() -> None:
 
 
 class MemoryRelease(QObject):
-    """Releases unused memory in a thread when the window is idle.
+    """Releases unused memory when the window is idle, in a thread.
 
-    Not during playback: allocations block meanwhile, for longer than one picture.
+    Rarely during playback: allocations block meanwhile, for longer than one picture.
+
+    A closed source is a cycle of few objects and a hundred MB, which no threshold of Python's
+    garbage collection counts.
     """
 
     def __init__(
@@ -72,9 +75,10 @@ class MemoryRelease(QObject):
         state: SessionState,
         release: Callable[[], None] = release_memory,  # Called in a thread
         idle_ms: int = IDLE_MS,
+        playing_every_s: float = PLAYING_EVERY_S,
     ) -> None:
         super().__init__()
-        self._state, self._release = state, release
+        self._state, self._release, self._playing_every_s = state, release, playing_every_s
         self._active, self._last_s = True, time.monotonic()
         self._worker = Worker("memory")
         self._timer = QTimer(self)
@@ -93,10 +97,11 @@ class MemoryRelease(QObject):
         self._active = True
 
     def _on_tick(self) -> None:
-        facts, now = self._state.facts, time.monotonic()
-        live = facts is not None and facts.live and now - self._last_s > LIVE_EVERY_S
-        if self._active and (live or not self._state.playing):
+        now = time.monotonic()
+        overdue = now - self._last_s > self._playing_every_s
+        if self._active and (overdue or not self._state.playing):
             self._active, self._last_s = False, now
+            gc.collect()  # here, see above; milliseconds, as imported modules are frozen
             self._worker.submit(self._release)
 
 

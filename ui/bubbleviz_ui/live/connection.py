@@ -148,8 +148,8 @@ def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) 
 def _waiting_text(stream: LiveStream) -> str:
     """Why a stream has no frame yet, and what it sent instead."""
     counters, topics = stream.counters, stream.source.topics
-    if is_simulated(stream.uri):
-        return "simulating the first images"
+    if stream.source.preparing:
+        return stream.source.preparing
     if counters.problem and not stream.status().problem:
         return (
             f"no depth image yet: {counters.problem}; correct its publisher, or connect to another "
