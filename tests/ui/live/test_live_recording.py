@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from live_bench import IMAGE, STRING, connected_bench, messages_by_type
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QFileDialog
 from rosbags.highlevel import AnyReader
 from window_driver import SHIFT
@@ -71,6 +71,27 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
     path = Path(live.status().path)
     live.window.close()
     assert len(messages_by_type(path)[IMAGE]) > 1
+
+
+def test_nothing_moves_when_a_recording_begins(open_bench):
+    live = connected_bench(open_bench)
+    bar, view, places = live.window.live, live.window.view, []
+
+    def place():
+        live.bot.wait(1)  # laid out
+        bar.update_status()
+        return view.mapTo(live.window, QPoint()), view.size(), bar.leave.pos(), bar.size()
+
+    widths = range(1016, 1417, 80)
+    for _ in range(2):
+        places.append([])
+        for width in widths:
+            live.resize(width, 700)
+            places[-1].append(place())
+        if not live.live_controller.recording.busy:
+            live.record()
+    assert "unwritten" in bar.record.progress.text() and bar.record.progress.isVisible()
+    assert places[0] == places[1]
 
 
 def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):

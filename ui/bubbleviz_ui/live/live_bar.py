@@ -13,6 +13,8 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
+    QSizePolicy,
+    QStackedWidget,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -57,15 +59,17 @@ class RecordControls(QWidget):
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
         self._noted_ns: int | None = None
-        fill(
-            QHBoxLayout(self),
-            self.progress,
-            self.note,
-            self.pre_roll,
-            self.folder,
-            self.button,
-            margins=(0, 0, 0, 0),
-        )
+        # Both have the size of the larger one: the bar does not jump when recording begins.
+        self._before, self._during = QWidget(), QWidget()
+        self._stack = QStackedWidget()
+        none = (0, 0, 0, 0)
+        fill(QHBoxLayout(self._before), 1, self.pre_roll, self.folder, margins=none)
+        fill(QHBoxLayout(self._during), (self.progress, 1), self.note, margins=none)
+        self._stack.addWidget(self._before)
+        self._stack.addWidget(self._during)
+        self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.button.setMinimumWidth(self.button.sizeHint().width())
+        fill(QHBoxLayout(self), (self._stack, 1), self.button, margins=none)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(live.toggle_recording)
         self.folder.clicked.connect(self.choose_folder)
@@ -81,9 +85,7 @@ class RecordControls(QWidget):
         self.button.setText("■ Stop" if busy else "● Record")
         tip = "End the recording" if busy else "Record the live source to a new file"
         self.button.setToolTip(f"{tip} (Ctrl+R)")
-        for widget in (self.pre_roll, self.folder):
-            widget.setVisible(not busy)
-        self.progress.setVisible(busy)
+        self._stack.setCurrentWidget(self._during if busy else self._before)
         text = "" if state is None else progress(state)
         self.progress.setText(text)
         self.progress.setToolTip(text)
