@@ -326,7 +326,7 @@ def seen(widget):
     return widget.visibleRegion().boundingRect().height()
 
 
-def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive):
+def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive, tmp_path):
     """As in a window of 1024×700 pixels at 150 %, minus the frame, with the first-run hint."""
     driver = drive(DentSource, frame=6)
     window, panels = driver.window, driver.window.panels
@@ -344,6 +344,7 @@ def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive):
         assert window.view.mapTo(window, window.view.rect().bottomLeft()).y() < bottom
     for name in opened[3:]:
         panels[name].hide()
+    window.session_saver.save_as(tmp_path / "small.bubbleviz")
     driver.resize(1400, 900)
     tabs = window.tabifiedDockWidgets
     driver.wait(lambda: all(seen(panels[name]) > 90 for name in ("layers", "shear", "playback")))
@@ -352,6 +353,12 @@ def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive):
     assert tabs(panels["plots"]) == [panels["images"]]
     assert panels["images"].y() < panels["playback"].y() and not tabs(panels["playback"])
     assert seen(window.view) > 300
+    # also those of a session that was saved in a small window
+    driver.drop(tmp_path / "small.bubbleviz")
+    driver.wait(lambda: panels["layers"] in tabs(panels["shear"]))
+    driver.resize(1400, 900)
+    driver.wait(lambda: panels["layers"] not in tabs(panels["shear"]))
+    driver.wait(lambda: all(seen(panels[name]) > 90 for name in ("layers", "shear", "playback")))
     # tabs that the operator made stay
     window.tabifyDockWidget(panels["layers"], panels["shear"])
     driver.resize(1390, 890)

@@ -360,7 +360,7 @@ class MainWindow(QMainWindow):
 
     def _make_tabs(self, front: Dock) -> None:
         """Make tabs at the side of a dock; the first-run hint gives way, too."""
-        self._tabs.make(front)
+        self.tabs.make(front)
         self.hint.hide()
         self._centre.updateGeometry()
 
@@ -368,7 +368,7 @@ class MainWindow(QMainWindow):
         """Undo the tabs of `_fit` where there is room."""
         for name, side in SIDES.items():
             spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
-            self._tabs.part(side, spare)
+            self.tabs.part(side, spare)
 
     def _restore_heights(self) -> None:
         for dock in self._docks.values():
@@ -439,7 +439,7 @@ class MainWindow(QMainWindow):
         docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
-        self._docks, self._tabs = docks, TabsForRoom(self, list(docks.values()))
+        self._docks, self.tabs = docks, TabsForRoom(self, list(docks.values()))
         return {**docks, "status": self.status}
 
     def _share_width(self) -> None:

@@ -105,6 +105,7 @@ class SavedSession(BaseModel):
     # geometry, layout: Position of the window and its docks, Qt's data in Base64
     geometry: str = ""
     layout: str = ""
+    tabbed_sides: tuple[str, ...] = ()  # Where its docks are tabs for lack of room
     shortcuts: dict[str, str] = {}  # Changed keys by action
 
     @property

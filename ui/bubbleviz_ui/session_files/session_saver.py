@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
-from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, QTimer, Signal
+from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, Qt, QTimer, Signal
 
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
@@ -146,6 +146,7 @@ class SessionSaver(QObject):
             camera=_camera(window.view) if moved else None,
             geometry=_base64(self._window.saveGeometry()),
             layout=_base64(self._window.saveState()),
+            tabbed_sides=tuple(str(side.name) for side in window.tabs.made),
             shortcuts=window.shortcuts.changed,
         )
         absent = self._absent
@@ -211,6 +212,8 @@ class SessionSaver(QObject):
                 for dock in self._window.findChildren(Dock):
                     dock.forget_height()
                 self._window.restoreState(_bytes(saved.layout))
+                named = Qt.DockWidgetArea.__members__
+                window.tabs.made = {named[name] for name in saved.tabbed_sides if name in named}
             window.status.setVisible("status" in settings.panels)
 
     def open_source(

@@ -141,7 +141,7 @@ class TabsForRoom:
 
     def __init__(self, window: QMainWindow, docks: Sequence[Dock]) -> None:
         self._window, self._docks = window, docks
-        self._made = set[Qt.DockWidgetArea]()
+        self.made = set[Qt.DockWidgetArea]()  # Sides that have them now
 
     def make(self, front: Dock) -> None:
         """Make tabs of all docks at the side of the front one."""
@@ -153,7 +153,7 @@ class TabsForRoom:
             dock.placed = not dock.isHidden()
         front.raise_()
         front.take_height()
-        self._made.add(side)
+        self.made.add(side)
 
     def part(self, side: Qt.DockWidgetArea, more: int) -> None:
         """Place docks that `make` placed as in a new window, if there is room.
@@ -161,17 +161,17 @@ class TabsForRoom:
         `more`: Height that the 3-D view can give, screen pixels.
         """
         shown = column(self._window, side)
-        if side not in self._made or not shown:
+        if side not in self.made or not shown:
             return
         if len(self._window.tabifiedDockWidgets(shown[0])) + 1 < len(shown):
-            self._made.remove(side)  # arranged by the operator
+            self.made.remove(side)  # arranged by the operator
             return
         needed = dict[Dock, int]()
         for dock in shown:
             needed[dock.home] = max(needed.get(dock.home, 0), dock.needed)
         front = next((dock for dock in shown if not dock.visibleRegion().isEmpty()), shown[0])
         if len(needed) > 1 and sum(needed.values()) <= front.height() + more:
-            self._made.remove(side)
+            self.made.remove(side)
             for dock in self._at(side):
                 if dock.home is dock:
                     self._window.addDockWidget(side, dock, Qt.Orientation.Vertical)
