@@ -138,7 +138,8 @@ def _refined(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipso
     for _ in range(_NEWTON_STEPS):
         J = surface.derivatives(points, sphere=sphere)
         gradient = J.T @ (tukey_weights(distance, sigma) * distance)
-        step = -np.linalg.solve(J.T * tukey_slopes(distance, sigma) @ J, gradient)
+        # by the pseudo-inverse, as a part of a dome may leave a semi-axis open
+        step = -np.linalg.lstsq(J.T * tukey_slopes(distance, sigma) @ J, gradient, rcond=None)[0]
         surface = surface.moved(step)
         if np.abs(J @ step).max() < _NEWTON_TOLERANCE * sigma:
             break
