@@ -1,9 +1,23 @@
 """Fixtures shared by the tests of live sources."""
 
+import threading
+
 import pytest
 from wire import HEIGHT, WIDTH
 
 from bubbleviz.sensor import load_sensor
+
+
+@pytest.fixture(autouse=True)
+def no_threads_left():
+    """Fail a test that leaves a source running, which would slow every test after it."""
+    before = set(threading.enumerate())
+    yield
+    others = ("tqdm_monitor", "Dummy-")  # of libraries, once a process
+    new = [t for t in threading.enumerate() if t not in before and not t.name.startswith(others)]
+    for thread in new:
+        thread.join(10.0)
+    assert not [thread.name for thread in new if thread.is_alive()]
 
 
 @pytest.fixture(scope="session")
