@@ -1,5 +1,7 @@
 """Unsaved calibrations: use, session files, questions, and a closed source."""
 
+import gc
+import weakref
 from functools import partial
 
 import pytest
@@ -22,6 +24,12 @@ def folder(resting, tmp_path):
     for name in ("rest", "other"):
         record(mine / f"{name}.mcap", resting)
     return mine
+
+
+def released(each):
+    """Whether nothing keeps an object any more but a cycle."""
+    gc.collect()
+    return each() is None
 
 
 def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor, folder, tmp_path):
@@ -99,6 +107,7 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     bench.identify()
     window, state = bench.window, bench.state
     before = state.settings, window.open_panels.names, state.facts
+    samples = weakref.ref(bench.answer.found.samples)  # a hundred MB of a large camera
     look = partial(window.open_file, folder / "look.bubbleviz")
     assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
     bench.wait_until_shown()
@@ -109,6 +118,7 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     answered(bench, look, "Discard")
     bench.wait(lambda: state.facts.title == "other.mcap")
     assert state.settings.layers == {"rim"} and not bench.found.complete
+    bench.wait(lambda: released(samples))
     window.close()  # no question
     assert not window.isVisible()
 

@@ -253,6 +253,8 @@ class Calibration(QObject):
             self._continue(opened)
             return
         self._worker.cancel()
+        # its samples are a hundred MB
+        self._worker.submit(self._bench.close)
         self._cache.clear()
         self._source, self.initial_sensor = opened.request.source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
