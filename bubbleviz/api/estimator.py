@@ -115,7 +115,7 @@ class Estimator:
             self.reset()
 
     def reset(self) -> None:
-        """Discard warm start, zero of the gas pressure, pose and colour reference."""
+        """Discard warm start, zeros of gas pressure and depth image, pose and colour reference."""
         pipeline, texture = self._pipeline, None
         pipeline.restart()
         if self._tracked is not None:

@@ -334,7 +334,7 @@ class Iteration:
         """Errors of the whole image; where they are not fitted, those known before, if any."""
         measurements = step.measurements
         own = slice(-len(IMAGE_ERRORS), None)
-        if measurements.nuisances.sigma[own].any():
+        if measurements.nuisances.sigma[own].any() and observed.image_prior.covariance.any():
             covariance = measurements.nuisance_covariance[own, own]
             return observed.image_prior.given(step.contact.amplitudes[own], covariance)
         return self._data.image_errors

@@ -58,7 +58,7 @@ class PipelineProcess:
             self._start(products)
         if not self._is_ready() or not products <= DEPTH_PRODUCTS:
             return self._pipeline.process(frame, products, options)
-        small = Frame(frame.index, frame.time_s, frame.depth_m, None, frame.gas_pressure_pa)
+        small = replace(frame, intrinsics=None, find_colour=None)
         outcome = self._call(small, products, options)
         if outcome.kind != "returned":
             return self._pipeline.process(frame, products, options)  # raises the same exception

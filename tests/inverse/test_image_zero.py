@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import build_mesh
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import touching_height
+from bubbleviz.zeros import zeros_of
 
 REST, HELD = 20, 4
 SEEDS = range(3)
@@ -92,3 +96,11 @@ def test_a_recording_and_its_frames_one_by_one_have_the_same_force():
     for frame, force_n in zip(frames, run.force_n, strict=True):
         found = estimator.update(frame).force_n
         assert found == pytest.approx(force_n, abs=0.01 * max(np.linalg.norm(force_n), 1e-9))
+
+
+@pytest.mark.parametrize("options", [EstimatorOptions(image_error=0.0), EstimatorOptions("paper")])
+def test_estimators_without_image_errors_know_none(options):
+    frames, _ = press(0)
+    pipeline = Pipeline.of(sensor(), options=options)
+    zeros = zeros_of(HeldFrames(frames), pipeline)
+    assert zeros.applied(frames[REST]).image_errors is None

@@ -3,11 +3,13 @@
 import os
 import signal
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from small_press import small_source
 
+from bubbleviz.camera import ImageErrors
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.processes import DEPTH_PRODUCTS, PipelineProcess
@@ -55,7 +57,13 @@ def gone(pid):
 def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sensor, frames):
     here = Pipeline.of(load_sensor(sensor))
     here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)
-    for frame in frames[1:]:
+    zeroed = replace(
+        frames[1],
+        gas_pressure_pa=pipeline.model.gas.P0 + 300.0,
+        gas_sigma_pa=2_000.0,
+        image_errors=ImageErrors(np.full(4, 1e-4), 1e-10 * np.eye(4)),
+    )
+    for frame in (zeroed, *frames[1:]):
         a, b = (
             process.process(frame, DEPTH_PRODUCTS, OPTIONS),
             here.process(frame, DEPTH_PRODUCTS, OPTIONS),
