@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
 
 from bubbleviz.camera import ImageErrors
 from bubbleviz.errors import InputError
+from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, FrameSource, force_of
 from bubbleviz.result import HALF_95, Result
@@ -33,6 +35,15 @@ _JITTER = 0.1
 """Standard deviation of the errors of single images, over that of those since calibration. Measured
 on the real press, without contact: 0.01 mm."""
 _RENEWED_S = 60.0  # time after which live frames without contact determine these errors again
+
+
+def camera_moved(result: Result) -> bool:
+    """Whether an image contradicts the errors that were known, and was solved without them."""
+    known = result.frame.image_errors
+    found = None if result.estimate is None else result.estimate.image_errors
+    if known is None or found is None or found.prior is None:
+        return False
+    return not np.array_equal(found.prior.mean, known.mean)
 
 
 class ImageZero:
@@ -58,10 +69,12 @@ class ImageZero:
 
     def follow(self, result: Result, pipeline: Pipeline) -> None:
         """Use a solved frame if it is one of consecutive ones without contact."""
-        since_s = abs(result.frame.time_s - self._time_s)
-        if self.fixed or (self._known is not None and since_s < _RENEWED_S):
+        time_s = result.frame.time_s
+        recent = self._known is not None and abs(time_s - self._time_s) < _RENEWED_S
+        again = bool(self._rest) and time_s <= self._rest[-1].frame.time_s
+        if self.fixed or recent or again:
             return
-        touched = result.estimate is None or result.estimate.status != "no_contact"
+        touched = not _is_contact_free(result)
         if not touched:
             self._rest.append(result)
         if touched or len(self._rest) == ZERO_FRAMES:
@@ -70,29 +83,30 @@ class ImageZero:
 
     def take(self, rest: Sequence[Result], pipeline: Pipeline) -> None:
         """Determine the errors from consecutive solved frames without contact."""
-        for result in rest[:-MIN_FRAMES]:
+        used = rest[:-MIN_FRAMES]
+        for k, result in enumerate(used):
             found = None if result.estimate is None else result.estimate.image_errors
-            if found is not None and found.prior is not None:
-                self._add(result.frame, found, found.prior, pipeline.estimator.image_prior)
+            if found is None or found.prior is None:
+                continue
+            moved = k == 0 and 2 * sum(map(camera_moved, used)) > len(used)
+            if self._known is None or moved:
+                self._since_calibration = self._known = pipeline.estimator.image_prior
+                self._time_s = result.frame.time_s
+            self._add(result.frame.time_s, found, found.prior)
 
-    def _add(
-        self, frame: Frame, found: ImageErrors, prior: ImageErrors, unknown: ImageErrors
-    ) -> None:
+    def _add(self, time_s: float, found: ImageErrors, prior: ImageErrors) -> None:
         """Update by an image: a step of a Kalman filter, in terms of inverse covariances."""
-        expected = frame.image_errors or unknown
-        moved = not np.array_equal(prior.mean, expected.mean)  # solved without these
-        if self._known is None or moved:
-            self._since_calibration = self._known = unknown
-            self._time_s = frame.time_s
+        known, since = self._known, self._since_calibration
+        assert known is not None and since is not None
         # what the image tells without its prior, widened by the scatter of single images
         precision = np.linalg.inv(found.covariance) - np.linalg.inv(prior.covariance)
         weighted = np.linalg.solve(found.covariance, found.mean)
         weighted -= np.linalg.solve(prior.covariance, prior.mean)
-        scatter = np.eye(len(precision)) + _JITTER**2 * precision @ unknown.covariance
-        before = np.linalg.inv(self._walk(frame.time_s))
+        scatter = np.eye(len(precision)) + _JITTER**2 * precision @ since.covariance
+        before = np.linalg.inv(self._walk(time_s))
         covariance = np.linalg.inv(before + np.linalg.solve(scatter, precision))
-        mean = covariance @ (before @ self._known.mean + np.linalg.solve(scatter, weighted))
-        self._known, self._time_s = ImageErrors(mean, covariance), frame.time_s
+        mean = covariance @ (before @ known.mean + np.linalg.solve(scatter, weighted))
+        self._known, self._time_s = ImageErrors(mean, covariance), time_s
 
     def _at(self, time_s: float) -> ImageErrors:
         """Errors expected in an image at a time."""
@@ -104,7 +118,7 @@ class ImageZero:
         """Covariance (4, 4) of the errors at a time, without those of its image alone."""
         known, since = self._known, self._since_calibration
         assert known is not None and since is not None
-        walked: np.ndarray = abs(time_s - self._time_s) / _DRIFT_S * since.covariance
+        walked: np.ndarray = min(abs(time_s - self._time_s) / _DRIFT_S, 1.0) * since.covariance
         return known.covariance + walked
 
 
@@ -233,12 +247,13 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     unknown if there are none.
     """
     rest, image = _rest_of(source, pipeline), ImageZero()
-    image.take(rest, pipeline)
+    if pipeline.estimator.solver_name in (RUBBER, LINEAR):  # others do not know image errors
+        image.take(_solved_alone(rest, pipeline), pipeline)
     image.fixed = True
     if source[0].gas_pressure_pa is None:
         return Zeros(None, image)
     gas = PressureZero(pipeline.model.gas.P0)
-    pressures = [each.frame.gas_pressure_pa for each in rest]
+    pressures = [each.gas_pressure_pa for each in rest]
     measured = [pressure for pressure in pressures if pressure is not None]
     if len(measured) >= MIN_FRAMES:
         gas.take(measured)
@@ -246,9 +261,9 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     return Zeros(gas, image)
 
 
-def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Result]:
+def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Frame]:
     """Longest run of frames without contact that was found, at least `MIN_FRAMES`, or none."""
-    longest: list[Result] = []
+    longest: list[Frame] = []
     starts = np.unique(np.linspace(0, len(source) - MIN_FRAMES, _SEARCH_POINTS).astype(int))
     for start in starts[starts >= 0]:
         longest = max(longest, _rest_from(source, int(start), pipeline), key=len)
@@ -257,18 +272,26 @@ def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Result]:
     return longest if len(longest) >= MIN_FRAMES else []
 
 
-def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[Result]:
+def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[Frame]:
     """Consecutive frames without contact by their depth alone, from `start` on."""
-    rest: list[Result] = []
+    rest: list[Frame] = []
     for index in range(start, min(start + ZERO_FRAMES, len(source))):
-        frame = source[index]
-        if not rest and not pipeline.is_untouched(frame):  # the faster test, if there is contact
+        frame = _contact_free(source, index, pipeline)
+        if frame is None:
             break
-        estimate = pipeline.estimate_once(replace(frame, gas_pressure_pa=None))
-        if estimate.status != "no_contact":
-            break
-        rest.append(Result(frame, estimate=estimate))
+        rest.append(frame)
     return rest
+
+
+def _solved_alone(rest: Sequence[Frame], pipeline: Pipeline) -> list[Result]:
+    """Results of frames by their depth alone, up to the first one with contact."""
+    alone = [replace(frame, gas_pressure_pa=None) for frame in rest]
+    results = [Result(each, estimate=pipeline.estimate_once(each)) for each in alone]
+    return list(takewhile(_is_contact_free, results))
+
+
+def _is_contact_free(result: Result) -> bool:
+    return result.estimate is not None and result.estimate.status == "no_contact"
 
 
 def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:

@@ -26,7 +26,7 @@ from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, contradiction, load_sensor, with_colour_delay
 from bubbleviz.wording import count_of
-from bubbleviz.zeros import ImageZero, PressureZero, Zeros
+from bubbleviz.zeros import ImageZero, PressureZero, Zeros, camera_moved
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
@@ -268,6 +268,7 @@ class FrameSolver:
         self._measured_pa: float | None = None
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
+        self._touched, self._moved = 0, 0  # frames with contact; of which the camera has moved
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
@@ -281,6 +282,9 @@ class FrameSolver:
                 self.texture.take(result)
         if result.estimate is not None and result.estimate.image_errors is not None:
             self._image_errors.append(result.estimate.image_errors.mean)
+            touched = result.estimate.status == "ok"
+            self._touched += touched
+            self._moved += touched and camera_moved(result)
         friction = _least_friction(result)
         if friction > self.pipeline.options.friction:
             self._frames_over += 1
@@ -288,9 +292,19 @@ class FrameSolver:
         return result
 
     def drift_warning(self) -> str:
-        """Warning if depth images drift by more than three standard deviations; else empty."""
+        """Warning if depth images drift; else empty.
+
+        By more than three standard deviations since the calibration, or in more images with
+        contact than chance explains since those without.
+        """
         if not self._image_errors:
             return ""
+        if self._moved > max(1, 0.02 * self._touched):
+            return (
+                f"the depth image has drifted between frames without contact and "
+                f"{count_of(self._moved, 'frame')} with contact, whose forces are less certain. "
+                "Let the camera warm up, and check that it is fixed"
+            )
         estimator = self.pipeline.estimator
         by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
         drift_m = float(units @ np.median(self._image_errors, axis=0) / by_offset)

@@ -83,7 +83,7 @@ class Workbench:
 
     def __init__(self, source: FrameSource, sensor: Sensor) -> None:
         self.source, self.sensor = source, sensor
-        self._cache: dict[str, OrderedDict[Hashable, object]] = {}
+        self._cache: dict[Hashable, OrderedDict[Hashable, object]] = {}
 
     def work(self, settings: Settings, progress: Progress = quiet) -> Identification:
         """Run the steps up to the last one of the settings.
@@ -229,9 +229,9 @@ class Workbench:
             with Recording(frames) as recording:
                 return measure(CachedFrames(recording))
 
-        return self._cached(f"source {frames}", inputs, opened)
+        return self._cached(("source", frames), inputs, opened)
 
-    def _cached(self, step: str, inputs: Hashable, compute: Callable[[], T]) -> T:
+    def _cached(self, step: Hashable, inputs: Hashable, compute: Callable[[], T]) -> T:
         """Result of a step for its inputs, from the cache or computed."""
         results = self._cache.setdefault(step, OrderedDict())
         if inputs not in results:

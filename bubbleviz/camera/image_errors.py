@@ -45,3 +45,7 @@ class ImageErrors:
     def given(self, amplitudes: np.ndarray, covariance: np.ndarray) -> ImageErrors:
         """Distribution after an image: that of the amplitudes of the `units` is known."""
         return ImageErrors(self.at(amplitudes), self.units @ covariance @ self.units.T, self)
+
+    def widened(self, factor: float) -> ImageErrors:
+        """The same with larger standard deviations."""
+        return ImageErrors(self.mean, factor**2 * self.covariance)

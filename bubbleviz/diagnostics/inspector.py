@@ -189,7 +189,7 @@ class Probed:
     barycentric: np.ndarray  # (3,), coordinates of the place in it
     membrane_m: np.ndarray  # (3,), the place in B
     membrane_pixel: tuple[float, float]  # row and column of its projection
-    # displacement_m, pressure_pa: u and p_c there; NaN without an estimate
+    # displacement_m, pressure_pa: u and p_c there; NaN without a trusted estimate
     displacement_m: float
     pressure_pa: float
     unexplained_pa: float  # pressure there without evidence of contact

@@ -334,9 +334,11 @@ class Iteration:
         """Errors of the whole image; where they are not fitted, those known before, if any."""
         measurements = step.measurements
         own = slice(-len(IMAGE_ERRORS), None)
-        if measurements.nuisances.sigma[own].any() and observed.image_prior.covariance.any():
-            covariance = measurements.nuisance_covariance[own, own]
-            return observed.image_prior.given(step.contact.amplitudes[own], covariance)
+        doubt = measurements.nuisances.sigma[own].max()  # the prior was widened by it
+        if doubt > 0.0 and observed.image_prior.covariance.any():
+            amplitudes = step.contact.amplitudes[own] / doubt
+            covariance = measurements.nuisance_covariance[own, own] / doubt**2
+            return observed.image_prior.widened(doubt).given(amplitudes, covariance)
         return self._data.image_errors
 
 

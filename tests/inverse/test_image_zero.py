@@ -104,3 +104,20 @@ def test_estimators_without_image_errors_know_none(options):
     pipeline = Pipeline.of(sensor(), options=options)
     zeros = zeros_of(HeldFrames(frames), pipeline)
     assert zeros.applied(frames[REST]).image_errors is None
+
+
+@pytest.mark.parametrize("noise", [1.0, 2.0])
+def test_frames_without_contact_of_a_noisier_camera(noise):
+    """Its images tell less; what is known of them contains the truth."""
+    pipeline, rng = Pipeline.of(sensor()), np.random.default_rng(0)
+    frames, _ = press(0)
+    rest = [
+        replace(f, depth_m=(f.depth_m + noise * 1e-3 * rng.normal(size=f.depth_m.shape)))
+        for f in frames[:15]
+    ]
+    zeros = zeros_of(HeldFrames(rest), pipeline)
+    known = zeros.applied(frames[REST]).image_errors
+    size = np.diag(pipeline.estimator.image_prior.covariance)
+    assert (np.linalg.eigvalsh(known.covariance / np.sqrt(np.outer(size, size))) > 0.0).all()
+    assert (np.diag(known.covariance) < 1.05 * size).all()
+    assert (np.abs(known.mean) < 4.0 * np.sqrt(np.diag(known.covariance))).all()

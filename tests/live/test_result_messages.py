@@ -362,7 +362,7 @@ def test_weather_does_not_appear_as_contact(small_sensor):
         source = Weather(frames)
         with LiveStream(source, small_sensor) as stream:
             solver = bv.Estimator(small_sensor, zero_gas=zeroed).solver
-            watcher, zero = Watcher(stream, solver), solver.zero
+            watcher, zero = Watcher(stream, solver), solver.zeros.gas
             statuses = []
             for _ in range(count):
                 source.send()

@@ -78,7 +78,7 @@ def test_nothing_moves_when_a_recording_begins(open_bench):
     bar, view, places = live.window.live, live.window.view, []
 
     def place():
-        live.bot.wait(1)  # laid out
+        live.wait_until_shown()
         bar.update_status()
         return view.mapTo(live.window, QPoint()), view.size(), bar.leave.pos(), bar.size()
 

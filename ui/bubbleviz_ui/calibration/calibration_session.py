@@ -253,8 +253,8 @@ class Calibration(QObject):
             self._continue(opened)
             return
         self._worker.cancel()
-        # its samples are a hundred MB
-        self._worker.submit(self._bench.close)
+        # its samples are a hundred MB; no longer busy when they are released
+        self._worker.submit(self._bench.close, lambda _: self.changed.emit())
         self._cache.clear()
         self._source, self.initial_sensor = opened.request.source, opened.sensor
         self.live, self.name = opened.facts.live, opened.facts.title
