@@ -77,11 +77,15 @@ def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path
     driver.click(plots.analyse)
     known = driver.state.history.quantity
     driver.wait(lambda: np.isfinite(known("force_n")).all())
-    for plot, quantity, scale in (("force", "force_n", 1.0), ("area", "area_m2", 1e6)):
+    # the later one knows the errors of its images better: it has more frames without contact
+    for plot, quantity, scale, near in (
+        ("force", "force_n", 1.0, 0.1),
+        ("area", "area_m2", 1e6, 0.15),
+    ):
         times, values = plots.plots[plot].other_curves[quantity].getOriginalDataset()
         own, same = scale * known(quantity), times > -0.5 * STEP_S
         np.testing.assert_allclose(times[same], np.arange(FRAMES) * STEP_S, atol=1e-6)
-        np.testing.assert_allclose(values[same], own, atol=0.1 * own.max())
+        np.testing.assert_allclose(values[same], own, atol=near * own.max())
     # another setting makes other numbers: none of the old ones stays
     driver.state.change(kappa=3.0)
     assert (
