@@ -29,8 +29,8 @@ WRENCH_FRAMES = 100  # contact-free frames for the bias of a wrench sensor, whic
 _SEARCH_POINTS = 20  # positions in a recording where contact-free frames are searched
 SKIPPED = 6  # live frames after one with contact that are not tested
 _DRIFT_S = 600.0
-"""Time in which errors of the depth image change as much as since calibration: a depth camera warms
-up in about ten minutes."""
+"""Time after which the errors of the depth image may differ by as much as since the calibration: a
+depth camera warms up in about ten minutes."""
 _JITTER = 0.1
 """Standard deviation of the errors of single images, over that of those since calibration. Measured
 on the real press, without contact: 0.01 mm."""
@@ -39,11 +39,16 @@ _RENEWED_S = 60.0  # time after which live frames without contact determine thes
 
 def camera_moved(result: Result) -> bool:
     """Whether an image contradicts the errors that were known, and was solved without them."""
-    known = result.frame.image_errors
-    found = None if result.estimate is None else result.estimate.image_errors
+    known, found = result.frame.image_errors, _image_errors(result)
     if known is None or found is None or found.prior is None:
         return False
     return not np.array_equal(found.prior.mean, known.mean)
+
+
+def _image_errors(result: Result) -> ImageErrors | None:
+    """Errors of an image as estimated from it; None where they are not."""
+    found = None if result.estimate is None else result.estimate.image_errors
+    return None if found is None or found.prior is None else found
 
 
 class ImageZero:
@@ -83,21 +88,20 @@ class ImageZero:
 
     def take(self, rest: Sequence[Result], pipeline: Pipeline) -> None:
         """Determine the errors from consecutive solved frames without contact."""
-        used = rest[:-MIN_FRAMES]
-        for k, result in enumerate(used):
-            found = None if result.estimate is None else result.estimate.image_errors
-            if found is None or found.prior is None:
-                continue
-            moved = k == 0 and 2 * sum(map(camera_moved, used)) > len(used)
-            if self._known is None or moved:
-                self._since_calibration = self._known = pipeline.estimator.image_prior
-                self._time_s = result.frame.time_s
-            self._add(result.frame.time_s, found, found.prior)
+        used = [each for each in rest[:-MIN_FRAMES] if _image_errors(each) is not None]
+        moved = 2 * sum(map(camera_moved, used)) > len(used)
+        if used and (moved or self._known is None):
+            self._since_calibration = self._known = pipeline.estimator.image_prior
+            self._time_s = used[0].frame.time_s
+        for result in used:
+            self._add(result)
 
-    def _add(self, time_s: float, found: ImageErrors, prior: ImageErrors) -> None:
+    def _add(self, result: Result) -> None:
         """Update by an image: a step of a Kalman filter, in terms of inverse covariances."""
-        known, since = self._known, self._since_calibration
-        assert known is not None and since is not None
+        known, since, found = self._known, self._since_calibration, _image_errors(result)
+        assert known is not None and since is not None and found is not None
+        prior, time_s = found.prior, result.frame.time_s
+        assert prior is not None
         # what the image tells without its prior, widened by the scatter of single images
         precision = np.linalg.inv(found.covariance) - np.linalg.inv(prior.covariance)
         weighted = np.linalg.solve(found.covariance, found.mean)

@@ -42,10 +42,10 @@ class ImageErrors:
         errors: np.ndarray = self.mean + self.units @ amplitudes
         return errors
 
-    def given(self, amplitudes: np.ndarray, covariance: np.ndarray) -> ImageErrors:
-        """Distribution after an image: that of the amplitudes of the `units` is known."""
-        return ImageErrors(self.at(amplitudes), self.units @ covariance @ self.units.T, self)
+    def given(self, amplitudes: np.ndarray, covariance: np.ndarray, widened: float) -> ImageErrors:
+        """Distribution after an image, by the amplitudes of the `units` and their covariance.
 
-    def widened(self, factor: float) -> ImageErrors:
-        """The same with larger standard deviations."""
-        return ImageErrors(self.mean, factor**2 * self.covariance)
+        `widened`: factor of the standard deviations with which this was the image's prior.
+        """
+        prior = ImageErrors(self.mean, widened**2 * self.covariance)
+        return ImageErrors(self.at(amplitudes), self.units @ covariance @ self.units.T, prior)

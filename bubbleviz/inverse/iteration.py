@@ -334,11 +334,10 @@ class Iteration:
         """Errors of the whole image; where they are not fitted, those known before, if any."""
         measurements = step.measurements
         own = slice(-len(IMAGE_ERRORS), None)
-        doubt = measurements.nuisances.sigma[own].max()  # the prior was widened by it
-        if doubt > 0.0 and observed.image_prior.covariance.any():
-            amplitudes = step.contact.amplitudes[own] / doubt
-            covariance = measurements.nuisance_covariance[own, own] / doubt**2
-            return observed.image_prior.widened(doubt).given(amplitudes, covariance)
+        widened = measurements.nuisances.sigma[own].max()
+        if widened > 0.0 and observed.image_prior.covariance.any():
+            covariance = measurements.nuisance_covariance[own, own]
+            return observed.image_prior.given(step.contact.amplitudes[own], covariance, widened)
         return self._data.image_errors
 
 
