@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.inverse import GAS_NOISE
 from bubbleviz.membrane import refine
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import (
     DepthNoise,
@@ -30,11 +30,14 @@ from bubbleviz.simulation import (
 )
 from bubbleviz.study.accuracy import LINEAR, RUBBER, Grid, Setup, specimen
 from bubbleviz.study.harness import Case, Column, Report, Study, Table
+from bubbleviz.zeros import zeros_of
 
 FOUND = 0.95
 ALARMS = 1e-3
 _MIN_DEPTH_M, _RATIO, _DEPTHS = 1e-4, 1.25, 20
 """Tested depths: 0.1 mm to 7 mm in steps of 25 %."""
+_NOISES, _AT_REST = 10_000, 5_000
+"""Noises drawn for a depth at most, and the first of them for the half second before."""
 _FINER = (0.2, 0.13, 0.09)
 """Radii of mesh refinement around the contact, relative to the rim's: the smallest dents are
 smaller than a triangle."""
@@ -163,7 +166,7 @@ class Ladder:
 
 
 class Alarm:
-    """Forces of a pipeline in noisy frames, each without a warm start.
+    """Forces of a pipeline in noisy frames, each solved from rest, after half a second at rest.
 
     The gas pressure may be measured, with the precision of a barometer.
     """
@@ -182,11 +185,12 @@ class Alarm:
         if step is None:
             first, count = 0, self._grid.rest_frames
         else:
-            truth, first = ladder.truth(step), (step + 1) * 10_000
+            truth, first = ladder.truth(step), (step + 1) * _NOISES
             ranges = truth.range_m
             gas = bank.rest_pressure_pa + truth.contact.gas_pressure_change_pa
         random = np.random.default_rng([bank.seed, first])
         measured = gas + GAS_NOISE * bank.rest_pressure_pa * random.standard_normal(count)
+        zeros = zeros_of(self._at_rest(bank, first), self._pipeline)
         frames = (
             bank.noisy_frame(
                 ranges,
@@ -196,7 +200,16 @@ class Alarm:
             )
             for k in range(count)
         )
-        return np.array([self._force(frame) for frame in frames])
+        return np.array(
+            [
+                self._force(zeros.applied(replace(frame, time_s=k / 30.0)))
+                for k, frame in enumerate(frames)
+            ]
+        )
+
+    def _at_rest(self, bank: TruthBank, first: int) -> HeldFrames:
+        gas = bank.rest_pressure_pa if self.gas_measured else None
+        return bank.frames_at_rest(self.noise, first + _AT_REST, gas_pressure_pa=gas)
 
     def _force(self, frame: Frame) -> float:
         self._pipeline.restart()

@@ -42,6 +42,7 @@ from bubbleviz.study.harness import (
     at_most,
     summaries,
 )
+from bubbleviz.zeros import Zeros, zeros_of
 
 EDGE_OBJECTS = tuple(map(str, sorted(Path(__file__).with_name("objects").glob("*.ply"))))
 """Test objects for the edge; no constant was chosen on them."""
@@ -112,14 +113,16 @@ def _rows(grid: EdgeGrid, membrane: accuracy.Specimen, bank: TruthBank, name: st
         best = best_thresholds(bank, own, noise)
         for setup in SETUPS:
             pipeline = setup.pipeline(membrane.model(noise))
+            zeros = zeros_of(bank.frames_at_rest(noise, 2), pipeline)
             for sighting, iou_threshold in zip(own, best, strict=True):
-                row = _row(pipeline, bank, sighting, noise, float(iou_threshold))
+                row = _row(pipeline, zeros, bank, sighting, noise, float(iou_threshold))
                 rows.append(replace(row, setup=setup.label))
     return rows
 
 
 def _row(
     pipeline: Pipeline,
+    zeros: Zeros,
     bank: TruthBank,
     sighting: SimulatedPress,
     noise: DepthNoise,
@@ -127,7 +130,7 @@ def _row(
 ) -> EdgeRow:
     pipeline.restart()
     for k in range(2):
-        result = pipeline.process(bank.frame(sighting, noise, k), accuracy.PRODUCTS)
+        result = pipeline.process(zeros.applied(bank.frame(sighting, noise, k)), accuracy.PRODUCTS)
     estimator, press = pipeline.estimator, sighting.press
     place, shape = (edge_bound(estimator, sighting, degree) for degree in (PLACE, SHAPE))
     row = EdgeRow(

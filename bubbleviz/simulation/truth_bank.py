@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +13,12 @@ from bubbleviz.errors import SolveError
 from bubbleviz.files import whole_file
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.presses import Press, study_object
 from bubbleviz.simulation.rubber_truth import Presses, RubberTruth
 from bubbleviz.simulation.synthetic_source import Truth
+from bubbleviz.zeros import ZERO_FRAMES
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,21 @@ class TruthBank:
         noisy = noise.apply(range_m, self.seed, index)
         depth = np.ascontiguousarray(self.camera.depth_image(noisy)[::stride, ::stride], np.float32)
         return Frame(index, index / 30.0, depth, gas_pressure_pa=gas_pressure_pa)
+
+    def frames_at_rest(
+        self,
+        noise: DepthNoise,
+        first: int,  # index of the noise of the first one
+        stride: int = 1,
+        gas_pressure_pa: float | None = None,
+    ) -> HeldFrames:
+        """Half a second without contact that ends at 0 s, as `zeros_of` takes it."""
+        frames = [
+            self.noisy_frame(self.rest_range_m, noise, first + k, stride, gas_pressure_pa)
+            for k in range(ZERO_FRAMES)
+        ]
+        times = np.arange(-ZERO_FRAMES, 0) / 30.0
+        return HeldFrames([replace(f, time_s=t) for f, t in zip(frames, times, strict=True)])
 
     def _simulated(self, press: Press) -> SimulatedPress:
         if self._folder is None:

@@ -20,7 +20,6 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh, TriangleScene
 from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline, Product
-from bubbleviz.recordings import HeldFrames
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
@@ -60,7 +59,7 @@ from bubbleviz.study.harness import (
     over,
     summaries,
 )
-from bubbleviz.zeros import ZERO_FRAMES, Zeros, zeros_of
+from bubbleviz.zeros import Zeros, zeros_of
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 MIN_DEPTH_SHARE = 0.2
@@ -251,17 +250,9 @@ class Bench:
 
     def _rows(self, setup: Setup, noise: DepthNoise) -> list[Row]:
         pipeline = setup.pipeline(self._own.model(noise))
-        zeros = zeros_of(self._frames_at_rest(noise, setup), pipeline)
+        rest = self.bank.frames_at_rest(noise, self._grid.repeats + 1, setup.stride)
+        zeros = zeros_of(rest, pipeline)
         return [self._row(each, noise, setup, pipeline, zeros) for each in self.simulated]
-
-    def _frames_at_rest(self, noise: DepthNoise, setup: Setup) -> HeldFrames:
-        """Half a second without contact before the presses."""
-        bank, first = self.bank, self._grid.repeats + 1
-        frames = [
-            bank.noisy_frame(bank.rest_range_m, noise, first + k, setup.stride)
-            for k in range(ZERO_FRAMES)
-        ]
-        return HeldFrames([replace(each, time_s=-each.time_s) for each in frames])
 
     def _row(
         self,
