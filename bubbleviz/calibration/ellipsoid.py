@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, mesh_cap
@@ -151,6 +150,8 @@ def _minimise(
     points: np.ndarray, start: Ellipsoid, loss: Literal["cauchy"] | Loss, *, sphere: bool
 ) -> Ellipsoid:
     """Minimum of a loss scaled by the spread of the distances from the initial surface."""
+    from scipy.optimize import least_squares  # 0.1 s: not at the window's start
+
     sigma = max(robust_sigma(start.distance(points), center=0.0), 1e-9)
     count = 4 if sphere else 6
 

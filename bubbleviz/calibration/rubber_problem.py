@@ -23,7 +23,6 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import least_squares
 from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.calibration.cluster_covariance import cluster_covariances, student_factor
@@ -355,6 +354,8 @@ class RubberProblem:
         gauge_sigma: float,
         temper: float,  # divides the weight of all rows but the priors
     ) -> np.ndarray:
+        from scipy.optimize import least_squares  # 0.1 s: not at the window's start
+
         root, data = self._root / (scale or self._scale(vector)), len(self._root)
         priors, prior_values = self._priors(gauge_sigma)
 
