@@ -25,6 +25,7 @@ from bubbleviz.inverse import (
     EstimatorOptions,
     PatchFinder,
     RubberBubble,
+    Start,
     mesh_limits,
     without_small,
 )
@@ -145,7 +146,11 @@ class Pipeline:
         raise InputError(f"--solver {self.options.solver}: no such solver; choose one of {names}")
 
     def process(
-        self, frame: Frame, products: frozenset[Product], options: FrameOptions | None = None
+        self,
+        frame: Frame,
+        products: frozenset[Product],
+        options: FrameOptions | None = None,
+        estimate: Estimate | None = None,  # of this frame, where it is known
     ) -> Result:
         """Run the stages that `products` depend on, on one frame.
 
@@ -154,7 +159,7 @@ class Pipeline:
         self._check_size(frame)
         options, needed = options or FrameOptions(), stages(products)
         times: dict[str, float] = {}
-        result = Result(self.paired(frame))
+        result = Result(self.paired(frame), estimate=estimate)
 
         with self._timed("total", times):
             for name in _STAGES:
@@ -190,10 +195,21 @@ class Pipeline:
         delay_s = self.model.sensor.camera.colour_delay_s
         return frame if frame.colour_delay_s == delay_s else replace(frame, colour_delay_s=delay_s)
 
-    def restart(self) -> None:
-        """Discard the warm start: the next frame is solved from rest."""
-        self._state = None
+    def restart(self, start: Start | None = None) -> None:
+        """Solve the next frame from the `start` of another one; by default from rest."""
+        self._state = start
         self._slip_starts = (None, None)
+
+    @property
+    def start(self) -> Start | None:
+        """Warm start by the contact of the last frame, without its factorisation.
+
+        None without contact, and with estimators of other packages.
+        """
+        start = self._state
+        if not isinstance(start, Start) or start.state is None:
+            return None
+        return replace(start, tangent=None, view=None)
 
     def converge(self, frame: Frame) -> None:
         """Warm-start the next solve from the converged solution of this frame.
@@ -351,8 +367,10 @@ class Pipeline:
         return ContactRefiner(self.model, estimator)
 
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
-        frame = result.frame
-        estimate, self._state = self._estimated(frame, self._state, self._measured_flow(result))
+        frame, estimate = result.frame, result.estimate
+        if estimate is None:
+            flow = self._measured_flow(result)
+            estimate, self._state = self._estimated(frame, self._state, flow)
         if frame.gas_sigma_pa and estimate.trusted:  # later stages use the estimated gas pressure
             estimated = self.model.gas.P0 + estimate.gas_pressure_change_pa
             frame = replace(frame, gas_pressure_pa=estimated, gas_sigma_pa=0.0)
@@ -368,8 +386,10 @@ class Pipeline:
 
     def _fine_contact_stage(self, result: Result, options: FrameOptions) -> Result:
         estimate = _required(result.estimate)
+        if estimate.fine is not None:
+            return result
         fine = _required(self._refiner).refine(result.frame.depth_m, estimate)
-        return replace(result, estimate=replace(estimate, fine=fine))
+        return result if fine is None else replace(result, estimate=replace(estimate, fine=fine))
 
     def _patch_stage(self, result: Result, options: FrameOptions) -> Result:
         return replace(result, patch=self.patch(_required(result.estimate), options))

@@ -28,6 +28,9 @@ from .friction import (
 from .gauss_newton import (
     GaussNewton as GaussNewton,
 )
+from .iteration import (
+    Start as Start,
+)
 from .measurements import (
     Measurements as Measurements,
     Nuisances as Nuisances,

@@ -179,3 +179,17 @@ def test_an_image_that_did_not_arrive_is_requested_again(client, state):
     client.request_frame(3, WITH_IMAGE)
     client.worker.run(-1)
     assert "depth" in client.inspection.images
+
+
+def test_a_frame_shown_again_is_final_at_once(client):
+    client.request_cold_solve()
+    client.worker.run(-1)
+    cold = client.result.estimate
+    for frame in (0, 3):
+        client.request_frame(frame, WITH_IMAGE)
+        client.worker.run(-1)
+    assert client.result.estimate is cold and client.cold_solved
+    assert client.result.patch is not None and "depth" in client.inspection.images
+    client.request_frame(2, PLAIN)
+    client.worker.run(-1)
+    assert not client.cold_solved

@@ -8,6 +8,7 @@ import time
 import weakref
 from dataclasses import replace
 from threading import Event
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,10 +18,12 @@ from window_driver import PATIENCE_MS, run_python
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.errors import InputError
+from bubbleviz.inverse import Start
 from bubbleviz.membrane import mesh_cap, spherical_cap
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.progress import Cancelled
 from bubbleviz.result import Estimate, FineContact
-from bubbleviz_ui.engine.solver import EstimateCache, OpenRequest, Solver
+from bubbleviz_ui.engine.solver import EstimateCache, Kept, OpenRequest, Solver
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
 from bubbleviz_ui.engine.worker import KEYS, Deferred, Failed, Worker
@@ -355,7 +358,7 @@ def test_estimate_cache_drops_the_oldest_and_counts_refined_meshes():
     size = 2 * nothing.nbytes
     kept = EstimateCache(3 * size)
     for frame in (0, 1, 2, 0, 3):  # frame 0 is computed again
-        kept.keep(frame, Numbers(area_m2=frame), estimate)
+        kept.keep(frame, Kept(Numbers(area_m2=frame), estimate))
     assert kept.get(1) is None
     assert [kept.get(frame)[0].area_m2 for frame in (0, 2, 3)] == [0, 2, 3]
 
@@ -363,10 +366,26 @@ def test_estimate_cache_drops_the_oldest_and_counts_refined_meshes():
     zero = np.zeros(len(mesh.nodes))
     fine = FineContact(mesh, np.zeros((len(zero), 2), int), zero, mesh.nodes, 1e-3)
     for frame in range(3):
-        kept.keep(frame, Numbers(), replace(estimate, fine=fine))
+        kept.keep(frame, Kept(Numbers(), replace(estimate, fine=fine)))
     _ = mesh.rings  # computed lazily and cached by the mesh
-    kept.keep(3, Numbers(), estimate)
+    kept.keep(3, Kept(Numbers(), estimate))
     assert [frame for frame in range(4) if kept.get(frame)] == [3]
+
+
+def test_a_seek_starts_from_the_nearest_frame_solved_but_the_next_frame_from_the_last():
+    nothing, kept = np.zeros(3), EstimateCache()
+    estimate, contact = Estimate("ok", nothing, nothing, 0.0, 0.0, 0.0), Start()
+    kept.keep(60, Kept(Numbers(), estimate, contact))
+    kept.keep(10, Kept(Numbers(), estimate))
+    pipeline = Mock(Pipeline)
+    for frame in (10, 11, 9, 30):
+        kept.restart(pipeline, frame)
+    pipeline.restart.assert_not_called()
+    kept.restart(pipeline, 80)
+    pipeline.restart.assert_called_once_with(contact)
+    kept.keep(80, Kept(Numbers(), estimate, contact))
+    kept.restart(pipeline, 20)
+    pipeline.restart.assert_called_with(None)
 
 
 # -- ^C -----------------------------------------------------------------------------------------

@@ -271,7 +271,8 @@ class SensorClient(QObject):
             self.failed.emit(Failed("newest", solved.remark))
 
     def _show(self, solved: Solved) -> None:
-        self.result, self._cold_solved = solved.result, None
+        self.result = solved.result
+        self._cold_solved = solved.result.frame if solved.final else None
         self._shown_demand = solved.demand.without_images()
         seen = _inspection(solved.result)
         if solved.demand.images or not self.demand.images:

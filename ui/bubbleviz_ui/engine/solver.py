@@ -8,14 +8,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import partial
 from threading import Event
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.inverse import EstimatorOptions, Start
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import ComparedResult, SettingsComparison
 from bubbleviz.pipeline import DIAGNOSTICS, FLOW_PRODUCTS, FrameOptions, Pipeline, Product
@@ -78,13 +78,14 @@ class Solved:
     """A frame's products, its numbers, and when they were completed.
 
     `outages` are those of a live source so far; `remark` is a message for the user about solver or
-    sensor file, or empty.
+    sensor file, or empty. `final`: it does not depend on the frames before.
     """
 
     demand: Demand
     result: Result
     numbers: Numbers
     done_s: float = float("nan")
+    final: bool = False
     outages: tuple[Gap, ...] = ()
     remark: str = ""
 
@@ -96,26 +97,53 @@ CACHE_BYTES = 256 * 2**20
 """About 6,000 frames of 1,000 nodes."""
 
 
+class Kept(NamedTuple):
+    """Estimate of a frame.
+
+    `start` is the warm start for frames nearby, None without contact; `final`: it was solved from
+    rest by depth alone, and does not depend on the frames before.
+    """
+
+    numbers: Numbers
+    estimate: Estimate
+    start: Start | None = None
+    final: bool = False
+
+
 class EstimateCache:
     """Cache of the most recently computed estimates, limited by memory."""
 
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
-        self._kept: OrderedDict[int, tuple[Numbers, Estimate]] = OrderedDict()
+        self._kept: OrderedDict[int, Kept] = OrderedDict()
         self._sizes: dict[int, int] = {}
         self._most = most_bytes
 
-    def get(self, frame: int) -> tuple[Numbers, Estimate] | None:
-        """Numbers and estimate of a frame; None if not cached."""
+    def get(self, frame: int) -> Kept | None:
+        """Estimate of a frame; None if not cached."""
         return self._kept.get(frame)
 
-    def keep(self, frame: int, numbers: Numbers, estimate: Estimate) -> None:
-        """Cache those of a frame, and drop the oldest if memory is exceeded."""
+    def final(self, frame: int) -> Estimate | None:
+        """The final estimate of a frame; None if not cached."""
+        kept = self._kept.get(frame)
+        return kept.estimate if kept is not None and kept.final else None
+
+    def keep(self, frame: int, kept: Kept) -> None:
+        """Cache that of a frame, and drop the oldest if memory is exceeded."""
         self._kept.pop(frame, None)
-        self._kept[frame] = numbers, estimate
-        self._sizes[frame] = _bytes(estimate)
+        self._kept[frame] = kept
+        self._sizes[frame] = _bytes(kept.estimate) + _bytes(kept.start)
         while sum(self._sizes.values()) > self._most:
             oldest, _ = self._kept.popitem(last=False)
             del self._sizes[oldest]
+
+    def restart(self, pipeline: Pipeline, frame: int) -> None:
+        """Restart a pipeline for a frame from the nearest one solved, unless it was the last."""
+        distance = abs(next(reversed(self._kept), frame) - frame)
+        if distance <= 1:
+            return
+        nearest = min(self._kept, key=lambda known: abs(known - frame))
+        if abs(nearest - frame) < distance:
+            pipeline.restart(self._kept[nearest].start)
 
 
 def _bytes(value: object) -> int:
@@ -180,9 +208,15 @@ class OpenSource:
             frame = self.zeros.zeroed(frame, pipeline)
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
-        if cold:
+        estimate = None if products & FLOW_PRODUCTS else self.estimates.final(frame.index)
+        if cold and estimate is None:
             pipeline.converge(frame)
-        result = (solver_process or pipeline).process(frame, products, demand.options)
+        elif estimate is None:
+            self.estimates.restart(pipeline, frame.index)
+        if solver_process is None:
+            result = pipeline.process(frame, products, demand.options, estimate)
+        else:
+            result = solver_process.process(frame, products, demand.options)
         if stream is not None:
             self.zeros.image.follow(result, pipeline)
         if products & FLOW_PRODUCTS:
@@ -200,11 +234,16 @@ class OpenSource:
         seen = replace(result.inspection or Inspection(), reference=self.shear.message)
         return replace(result, inspection=seen)
 
-    def numbers(self, result: Result) -> Numbers:
+    def numbers(self, result: Result, *, cold: bool = False) -> Numbers:
         """Numbers of a result; its estimate is cached, except of a live source."""
         numbers = numbers_of(result, self.pipeline.model.gas)
-        if result.estimate is not None and self.opened.stream is None:
-            self.estimates.keep(result.frame.index, numbers, result.estimate)
+        estimate, index = result.estimate, result.frame.index
+        kept = self.estimates.get(index)
+        if estimate is None or self.opened.stream is not None:
+            return numbers
+        if kept is None or kept.estimate is not estimate:
+            final = cold and result.flow is None
+            self.estimates.keep(index, Kept(numbers, estimate, self.pipeline.start, final))
         return numbers
 
     def close(self) -> None:
@@ -363,7 +402,10 @@ class Solver:
     ) -> Solved:
         result = current.process(frame, demand, solver_process=solver_process, cold=cold)
         result = current.diagnose(result, demand)
-        return Solved(demand, result, current.numbers(result), time.perf_counter())
+        numbers, done_s = current.numbers(result, cold=cold), time.perf_counter()
+        known = current.estimates.final(frame.index)
+        final = known is not None and known is result.estimate
+        return Solved(demand, result, numbers, done_s, final)
 
     def open(self, request: OpenRequest) -> Opened:
         """Open a source in place of the current one.
@@ -466,7 +508,7 @@ def _numbers(
     pipeline = current.pipeline
     kept = current.estimates.get(index)
     if kept is not None and demand.products <= PATCHED:
-        known, estimate = kept
+        known, estimate, *_ = kept
         patch = pipeline.patch(estimate, demand.options)
         return replace(known, **patch_numbers(patch, trusted=estimate.trusted))
     if cached_only:
