@@ -85,8 +85,12 @@ def screenshot(
     ):
         session.window.resize(*size)
         session.window.show()
-        # so that its numbers do not depend on the frames solved before
-        session.wait_for(lambda: session.controller.cold_solved, "solving the frame")
+        # so that numbers and scales do not depend on the frames solved before
+        controller, state = session.controller, session.state
+        session.wait_for(
+            lambda: controller.cold_solved and (state.playing or not controller.worker.busy),
+            "solving the frame",
+        )
         session.wait_until_drawn()
         session.save(out)
 

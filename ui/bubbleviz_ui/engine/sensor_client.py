@@ -30,6 +30,8 @@ GAIN = 0.4  # of the integral control of the delay
 MAX_DELAY_S = 0.1  # longer delays are noticeable
 SAMPLED_FRAMES = 16
 """Frames of a recording solved in advance for its scales, while the solver is idle."""
+FIRST_PICTURE_S = 0.5
+"""Time after opening in which the first picture is drawn, which such work would delay."""
 
 
 class RequestDelay:
@@ -79,6 +81,7 @@ class SensorClient(QObject):
         self._shown_demand = self.demand
         self._delay = RequestDelay()
         self._unscaled: tuple[int, ...] = ()
+        self._background_s = 0.0  # earliest start of work that nobody waits for
         self.worker.failed.connect(self._on_failed)
         state.playing_changed.connect(self._scale_on)
 
@@ -174,7 +177,9 @@ class SensorClient(QObject):
         elif not self._state.playing:
             function = partial(self.solver.preview, self._unscaled, self._options)
             take = partial(self._take_extremes, self._unscaled)
-            self.worker.submit(function, take, failed=self._on_unscaled, key="scale")
+            self.worker.submit(
+                function, take, self._on_unscaled, key="scale", due_s=self._background_s
+            )
 
     def forget_pose(self) -> None:
         """Remove the pose from the shown result, as another object or initial pose is used."""
@@ -211,13 +216,16 @@ class SensorClient(QObject):
         self.result, self.inspection = opened.result, _inspection(opened.result)
         self._shown_demand = self.demand.without_images()
         self._imaged_frame = opened.result.frame
+        self._background_s = time.perf_counter() + FIRST_PICTURE_S
         self._remember(opened.frame, opened.numbers, self.demand)
         if not opened.facts.grows and opened.result.frame.wrench is not None:
             self.history.wrench_bias_n = np.full(3, np.nan)  # until it is known
             function = partial(
                 self.solver.wrench_bias, partial(self.worker.has_more_urgent, "wrench")
             )
-            self.worker.submit(function, self._take_wrench_bias, key="wrench")
+            self.worker.submit(
+                function, self._take_wrench_bias, key="wrench", due_s=self._background_s
+            )
         self.opened_source.emit(opened)  # it may begin to play
         if opened.facts.frames > 1 and not opened.facts.grows:
             last = opened.facts.frames - 1
