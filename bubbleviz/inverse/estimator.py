@@ -229,7 +229,8 @@ class Estimator:
             return no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m), Start()
         state, tangent = answer.step.state, answer.step.last_tangent
         touching = state if state.pressure.any() else None
-        return self._report(answer), Start(touching, tangent, answer.noise, answer.view)
+        start = Start(touching, tangent, answer.noise, answer.friction_scales, answer.view)
+        return self._report(answer), start
 
     def _doubt(self, answer: SolvedFrame) -> str:
         """Why a solution is implausible; empty if it is not."""

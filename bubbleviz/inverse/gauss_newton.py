@@ -16,7 +16,7 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Selection,
 )
-from bubbleviz.inverse.friction import friction_nuisances
+from bubbleviz.inverse.friction import WIDEST, friction_nuisances
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -97,6 +97,8 @@ class Step:
     last_tangent : Tangent
         The last one computed, which may be nearer to the new shape.
     measurements : Measurements
+    friction : two int arrays
+        Amplitudes that are slides, and spins, by depth alone.
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
     solve_ms : float
@@ -110,6 +112,7 @@ class Step:
     tangent: Tangent
     last_tangent: Tangent
     measurements: Measurements
+    friction: tuple[np.ndarray, np.ndarray]
     residual_m: np.ndarray
     solve_ms: float
 
@@ -226,7 +229,7 @@ class GaussNewton:
     ) -> bool:
         """Whether a depth image of the membrane at rest is explained without contact."""
         tangent = self._rest_tangent[gas is not None]
-        measurements = self._measurements(tangent, self.rest, at_rest, gas, Noise(noise))
+        measurements, _ = self._measurements(tangent, self.rest, at_rest, gas, Noise(noise))
         return self._problem(tangent, measurements, self.rest, gas).zero_is_optimal()
 
     def updated_noise(
@@ -252,13 +255,16 @@ class GaussNewton:
         noise: Noise,
         rounds: int,
         fit_image: bool,
+        friction_scales: tuple[float, float] = WIDEST,
     ) -> Step | None:
         """A step from a state, or None if its problem was not solved.
 
         Its support is selected in so many rounds; errors of the whole image are fitted or zero.
         """
         tangent = self._tangent_at(state, gas, last)
-        measurements = self._measurements(tangent, state, observed, gas, noise, fit_image)
+        measurements, friction = self._measurements(
+            tangent, state, observed, gas, noise, friction_scales, fit_image=fit_image
+        )
         began = time.perf_counter()
         contact = self._contact(tangent, measurements, state, gas, rounds)
         solve_ms = 1e3 * (time.perf_counter() - began)
@@ -282,6 +288,7 @@ class GaussNewton:
             tangent,
             last,
             measurements,
+            friction,
             residual,
             solve_ms,
         )
@@ -293,9 +300,11 @@ class GaussNewton:
         observed: LinearisedFrame,
         gas: float | None,
         noise: Noise,
+        friction_scales: tuple[float, float] = WIDEST,
+        *,
         fit_image: bool = True,
-    ) -> Measurements:
-        """Residual and weights of a frame with noise factors, and its nuisances."""
+    ) -> tuple[Measurements, tuple[np.ndarray, np.ndarray]]:
+        """Residual and weights of a frame with its nuisances; which are slides and spins."""
         # A noise factor above 1 is partly an error of the model: the priors of gas pressure and
         # image errors are widened by it, too, or they would pull the shape away from the image.
         doubt = max(noise.ranges, 1.0)
@@ -304,16 +313,23 @@ class GaussNewton:
             sigma = np.array([doubt * gas_sigma(self.bubble.gas, gas)])
             bulge = tangent.bulge[:, :, None]
             moving.append(Nuisances.of_motions(bulge, np.zeros_like(bulge), sigma))
+        first = sum(len(each.sigma) for each in moving)
+        by_depth = np.zeros(0, int)
         if self.friction > 0.0 and state.pressure.any():
-            moving += friction_nuisances(
+            found = friction_nuisances(
                 tangent,
                 state.pressure,
                 self.friction,
+                friction_scales,
                 self.mesh.rings,
                 self._smoothness,
                 observed.seen_by_flow,
             )
-        return observed.measurements(noise, moving, fit_image * doubt)
+            by_depth = np.arange(len(found[0].sigma))
+            moving += found
+        spins = by_depth % 3 == 2  # the third amplitude of each contact
+        friction = first + by_depth[~spins], first + by_depth[spins]
+        return observed.measurements(noise, moving, fit_image * doubt), friction
 
     def threshold(self, measurements: Measurements) -> np.ndarray:
         """τ of the L1 term (n,) for an image's weights, 1/Pa."""

@@ -8,7 +8,12 @@ import numpy as np
 
 from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Measured, Misfit, ShapeRanges
 from bubbleviz.inverse.contact_problem import significant_contact
-from bubbleviz.inverse.friction import contacts_seen_by_flow
+from bubbleviz.inverse.friction import (
+    WIDEST,
+    FrictionScale,
+    contacts_seen_by_flow,
+    friction_scale,
+)
 from bubbleviz.inverse.gauss_newton import (
     LARGE_MOTION,
     MAX_STEP,
@@ -19,7 +24,8 @@ from bubbleviz.inverse.gauss_newton import (
     contact_blocks,
 )
 from bubbleviz.inverse.measurements import FlowResidual, FrameData, LinearisedFrame
-from bubbleviz.inverse.noise import AS_EXPECTED, Noise, noise_converged
+from bubbleviz.inverse.noise import AS_EXPECTED, MAX_NOISES, Noise, noise_converged
+from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.plausibility import IMPLAUSIBLE_MISFIT, IMPLAUSIBLE_SHARE
 from bubbleviz.inverse.response import Tangent
 from bubbleviz.inverse.wrench_covariance import change_by, unit_wrenches, wrench_covariance
@@ -65,6 +71,8 @@ class Start:
         Last tangent used.
     noise : Noise
         Noise factors of the frame, a first guess for the next one.
+    friction_scales : (float, float)
+        Scales of its prior of slides and spins, likewise.
     view : ShapeRanges or None
         Camera model at the last shape at which it was computed.
     """
@@ -72,6 +80,7 @@ class Start:
     state: State | None = None
     tangent: Tangent | None = None
     noise: Noise = AS_EXPECTED
+    friction_scales: tuple[float, float] = WIDEST
     view: ShapeRanges | None = None
 
 
@@ -87,6 +96,8 @@ class SolvedFrame:
         Camera model at the last shape at which it was computed.
     noise : float
         Noise factor: σ of the residual over that of the camera's noise.
+    friction_scales : (float, float)
+        Scales of the prior of slides and spins that it was solved with.
     misfit : Misfit
     contradicts_gas : bool
         Whether its shape contradicts the measured p_v.
@@ -107,6 +118,7 @@ class SolvedFrame:
     step: Step
     view: ShapeRanges
     noise: Noise
+    friction_scales: tuple[float, float]
     misfit: Misfit
     contradicts_gas: bool
     contact: np.ndarray
@@ -161,6 +173,7 @@ class Iteration:
         self._state, self._view = start.state or newton.rest, start.view
         self._tangent = start.tangent
         self._noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
+        self._friction_scales = start.friction_scales if self._warm else WIDEST
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         self._near = self._warm  # the errors of the linearisation are small
         self._following = self._observe(by_flow=True) if self._warm else None
@@ -197,7 +210,14 @@ class Iteration:
             rounds *= self._selecting and not no_contact
             fit_image = self._near and self._image_shows_rest
             step = newton.step(
-                self._tangent, self._state, observed, data.gas_pa, self._noise, rounds, fit_image
+                self._tangent,
+                self._state,
+                observed,
+                data.gas_pa,
+                self._noise,
+                rounds,
+                fit_image,
+                self._friction_scales,
             )
             if step is None:
                 break
@@ -293,8 +313,12 @@ class Iteration:
             updated = self._newton.updated_noise(
                 step, observed, self._noise, self._image_shows_rest
             )
-            if done and noise_converged(updated, self._noise, self._noises, int(self._warm)):
+            slides, spins = self._friction(step)
+            known = noise_converged(updated, self._noise, self._noises, int(self._warm))
+            known = known and slides.converged and spins.converged
+            if done and (known or len(self._noises) >= MAX_NOISES):
                 return True
+            self._friction_scales = slides.value, spins.value
             if done or first_guess:
                 self._noises.append(self._noise if done else Noise(np.inf, np.inf))
                 self._selections = self._steps = self._stalled = self._settling = 0
@@ -303,6 +327,18 @@ class Iteration:
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
+
+    def _friction(self, step: Step) -> tuple[FrictionScale, FrictionScale]:
+        """Scales of the prior of slides and spins by a step."""
+        contact, first = step.contact, len(step.contact.nodes)
+        sigma, present = self._newton.friction, self._friction_scales
+        slides, spins = (
+            friction_scale(
+                contact.amplitudes[own], part(contact.covariance, first + own), sigma, scale
+            )
+            for own, scale in zip(step.friction, present, strict=True)
+        )
+        return slides, spins
 
     def _result(self, step: Step, observed: LinearisedFrame) -> SolvedFrame | Status:
         newton, pressure = self._newton, step.contact.pressure
@@ -320,10 +356,17 @@ class Iteration:
             step,
             (self._following or observed).view,
             self._noise,
+            self._friction_scales,
             observer.misfit(observed.observation, view.block, step.residual_m),
             newton.contradicts(step.state.gas, self._data.gas_pa),
             contact,
-            wrench_covariance(newton.bubble, step, contact, newton.friction * ~by_flow),
+            wrench_covariance(
+                newton.bubble,
+                step,
+                contact,
+                newton.friction * ~by_flow,
+                [each.spread for each in self._friction(step)],
+            ),
             _visible_share(observed, mesh.areas * contact),
             _flow_fit(step, observed.flow, self._noise) if by_flow.any() else None,
             self._image_errors(step, observed),

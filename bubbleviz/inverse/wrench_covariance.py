@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bubbleviz.inverse.gauss_newton import Step
+from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.response import Bubble
 from bubbleviz.result import wrench_about
 
@@ -16,7 +19,11 @@ once; of frictionless presses by 1.4 % at most."""
 
 
 def wrench_covariance(
-    bubble: Bubble, step: Step, contact: np.ndarray, friction: np.ndarray
+    bubble: Bubble,
+    step: Step,
+    contact: np.ndarray,
+    friction: np.ndarray,
+    spreads: Sequence[np.ndarray],
 ) -> np.ndarray:
     """Covariance (6, 6) of the wrench due to noise, nuisances, material and model.
 
@@ -31,6 +38,8 @@ def wrench_covariance(
         Nodes whose forces are summed.
     friction : (n,) array
         Prior standard deviation of friction over pressure, where optical flow does not see it.
+    spreads : two (q, q) arrays
+        Covariances of slides, and spins, by depth alone, by the scale of their prior.
     """
     if not contact.any():
         return np.zeros((6, 6))
@@ -44,11 +53,24 @@ def wrench_covariance(
     push = np.where(contact, step.contact.pressure, 0.0)[:, None]
     push = push * bubble.area_vectors(step.state.x)
     model = _model_covariance(step.state.x, push, unknowns @ unit, friction)
+    for own, spread in zip(step.friction, spreads, strict=True):
+        model += _by_friction(step, unit, own, spread)
     around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
     unit = unit_wrenches(bubble, step, problem.with_neighbours(contact), around)
     covariance = model + problem.covariance_of(around, unit)
     for change in by_material:
         covariance += np.outer(change, change)
+    return covariance
+
+
+def _by_friction(step: Step, unit: np.ndarray, own: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """Covariance (6, 6) of a wrench by a `spread` (q, q) of its amplitudes `own` (q,).
+
+    `unit` (s + a, 6) is the wrench of unit pressures and amplitudes.
+    """
+    joint, at = step.contact.covariance, len(step.contact.nodes) + own
+    wrenches = unit.T @ np.linalg.solve(part(joint, at), joint[at]).T
+    covariance: np.ndarray = wrenches @ spread @ wrenches.T
     return covariance
 
 

@@ -9,12 +9,15 @@ import pytest
 import trimesh
 
 import bubbleviz as bv
-from bubbleviz.inverse import EstimatorOptions, friction_loads
+from bubbleviz.inverse import EstimatorOptions, friction_loads, friction_scale
 from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
+from bubbleviz.simulation import DepthNoise
+from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import Motion
 from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
-from tests.shear.drag import Eyes, press, sensor, stuck
+from tests.shear.drag import FLOW_PX, Eyes, press, sensor, stuck
 
 EVERY = 1 if "TEST_ALL" in os.environ else 4
 """Which frames of the presses of another solver are solved."""
@@ -56,6 +59,42 @@ def test_contact_of_one_node_has_no_rotation_mode():
     assert np.isfinite(loads).all()
     assert loads[:, :, :2].any()
     assert not loads[:, :, 2].any()
+
+
+def test_prior_of_friction_is_as_wide_as_the_frame_says():
+    """Amplitudes drawn as assumed: smaller errors than with a wide prior, and honest intervals."""
+    random, noise, variance = np.random.default_rng(4), 0.05, 0.05**2
+    inside, errors, wide_errors = 0, [], []
+    for number in range(600):
+        size = 0.0 if number % 2 else 10.0 ** random.uniform(-2.0, 0.0)
+        true = size * random.standard_normal(2)
+        measured, scale = true + noise * random.standard_normal(2), 1.0
+        for _ in range(20):
+            share = scale**2 / (scale**2 + variance)
+            covariance = share * variance * np.eye(2)
+            found = friction_scale(share * measured, covariance, 1.0, scale)
+            if found.converged:
+                break
+            scale = found.value
+        error = share * measured - true
+        inside += error @ np.linalg.solve(covariance + found.spread, error) < 5.99
+        errors.append(error)
+        wide_errors.append(measured / (1.0 + variance) - true)
+    assert found.converged and 0.94 < inside / 600 < 0.99
+    assert np.square(errors).sum() < 0.6 * np.square(wide_errors).sum()
+
+
+@pytest.mark.parametrize("name", ["sphere", "puck"])
+def test_noise_is_not_taken_for_friction(name):
+    """Presses without friction at 1 % of noise; the ground truth is on a separate mesh."""
+    truth, eyes = press(name, 0.004)[0].moved(Motion(np.zeros(3))), Eyes(1000)
+    errors = []
+    for seed in range(6):
+        seen = sighting(eyes.pipeline.camera, truth, DepthNoise(relative=0.01), FLOW_PX, seed)
+        eyes.pipeline.restart()
+        found = eyes.pipeline.estimate_once(Frame(seed, seed / 30.0, seen.depth_m))
+        errors.append(np.linalg.norm(found.force_n - truth.force_n))
+    assert np.median(errors) < 0.02 * np.linalg.norm(truth.force_n)
 
 
 @pytest.mark.parametrize(
