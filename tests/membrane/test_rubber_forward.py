@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from domes import AIR, CHAMBER, GAUGE, A, H, dome, force, gas_of, plate, pose
 
 from bubbleviz.membrane import (
@@ -17,7 +18,7 @@ from bubbleviz.membrane import (
     mesh_cap,
     spherical_cap,
 )
-from bubbleviz.rigid_object import load_object
+from bubbleviz.rigid_object import RigidObject, load_object
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.exact_bubble import Bubble, axial_contact
 from tests.oracles.rubber_oracle import AxialRubber
@@ -269,6 +270,31 @@ def test_no_object_no_change():
     assert_equilibrium(contact)
     assert np.abs(contact.displacement_3d_m).max() < 1e-12
     assert contact.iterations == 0
+
+
+def frustum(fillet_m):
+    """A four-sided frustum, its narrow end down, with edges of a radius."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=fillet_m).vertices
+    ends = ((0.0, 0.0124), (0.04, 0.0297))
+    corners = np.array(
+        [(x * half, y * half, z) for z, half in ends for x in (-1, 1) for y in (-1, 1)]
+    )
+    points = (corners[:, None] + ball).reshape(-1, 3)
+    hull = trimesh.convex.convex_hull(points - [0.0, 0.0, points[:, 2].min()])
+    return RigidObject("frustum", np.array(hull.vertices), np.array(hull.faces))
+
+
+def test_fillets_finer_than_the_mesh_do_not_prevent_an_equilibrium():
+    """Newton's method alternates between their facets, for lack of nodes on them."""
+    model, there = forward(800, 1.2), pose(0.003, 0.0021, H - 0.004)
+    contact = model.press(frustum(5e-4), there)
+    assert contact.converged and contact.stable
+    assert contact.balance_residual > 1e-6, "does not alternate: proves nothing"
+    assert contact.penetration_m < 1e-6
+    assert contact.force_balance_n < 1e-3 * force(contact)
+    nearby = [model.press(frustum(5e-4), pose(0.003, 0.0021, H - d)) for d in (0.0038, 0.0042)]
+    assert force(nearby[0]) < force(contact) < force(nearby[1])
+    assert contact.iterations < 60
 
 
 def test_a_press_does_not_depend_on_earlier_poses():
