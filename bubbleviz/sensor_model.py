@@ -14,13 +14,17 @@ from bubbleviz.membrane import (
     Gas,
     MembraneMesh,
     RubberMembrane,
+    balance_tension,
     build_mesh,
     build_rubber,
     reference_tension,
 )
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, contradiction
 
 _NODE_PIXELS = 10_000  # for the residuals of the nodes: some ten for each
+_TENSION_OFF = 0.1
+"""Largest difference of γ0 in a sensor file from Young–Laplace, relative: forces of the linear
+membrane are proportional to γ0, and this is five standard deviations of errors of the model."""
 _MAX_BLOCK = 32  # largest side of a block in pixels: larger blocks save no more time
 
 
@@ -74,6 +78,28 @@ class SensorModel:
         return reference_tension(self.sensor, self.mesh)
 
     @cached_property
+    def contradiction(self) -> str:
+        """Sentence on a value that contradicts others in the sensor file; else empty."""
+        return contradiction(self.sensor) or self._tension_contradiction()
+
+    def _tension_contradiction(self) -> str:
+        given = self.sensor.pneumatics.tension_n_per_m
+        gauge = self.sensor.pneumatics.gauge_pressure_pa
+        if given is None:
+            return ""
+        try:
+            balanced = balance_tension(self.mesh, gauge)
+        except InputError:  # a flat surface
+            return ""
+        if abs(given / balanced - 1.0) <= _TENSION_OFF:
+            return ""
+        return (
+            f"tension_n_per_m = {given:g} in the sensor file, but {balanced:.4g} N/m balance its "
+            f"gauge pressure of {gauge:g} Pa on its surface, so forces may be wrong by that ratio; "
+            "correct either, or leave out tension_n_per_m"
+        )
+
+    @cached_property
     def gas(self) -> Gas:
         return Gas.of(self.sensor.pneumatics, self.mesh)
 
@@ -101,9 +127,12 @@ class SensorModel:
     ) -> RangeObserver:
         """Observer that averages range images over blocks of pixels."""
         noise = self.sensor.camera.noise_relative
-        return RangeObserver(
-            self.camera, self.mesh, noise, self.pixels, block or self._block(), self.view.at_rest
-        )
+        block, at_rest, own = block or self._block(), self.view.at_rest, self.sensor
+        try:
+            return RangeObserver(self.camera, self.mesh, noise, self.pixels, block, at_rest)
+        except InputError as error:
+            where = own.resolve(own.file) if own.file else f"sensor {own.name}"
+            raise InputError(f"{where}: {error}") from error
 
     def _block(self) -> int:
         T, own = self.camera.T_B_C, self.camera.intrinsics

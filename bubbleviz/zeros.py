@@ -254,10 +254,11 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     if pipeline.estimator.solver_name in (RUBBER, LINEAR):  # others do not know image errors
         image.take(_solved_alone(rest, pipeline), pipeline)
     image.fixed = True
-    if source[0].gas_pressure_pa is None:
+    pressures = [each.gas_pressure_pa for each in rest]
+    others = (source[k].gas_pressure_pa for k in (0, len(source) // 2))  # it may start late
+    if all(each is None for each in pressures) and all(each is None for each in others):
         return Zeros(None, image)
     gas = PressureZero(pipeline.model.gas.P0)
-    pressures = [each.gas_pressure_pa for each in rest]
     measured = [pressure for pressure in pressures if pressure is not None]
     if len(measured) >= MIN_FRAMES:
         gas.take(measured)

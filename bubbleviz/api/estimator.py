@@ -24,7 +24,7 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame, gas_warning, has_returns, metres
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
-from bubbleviz.sensor import Sensor, contradiction, load_sensor, with_colour_delay
+from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
 from bubbleviz.wording import count_of
 from bubbleviz.zeros import ImageZero, PressureZero, Zeros, camera_moved
 
@@ -333,7 +333,7 @@ class FrameSolver:
             gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
         else:
             gas = gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
-        file = contradiction(self.pipeline.model.sensor)
+        file = self.pipeline.model.contradiction
         return "; ".join(filter(None, (file, gas, _camera_warning(self.pipeline, where))))
 
 

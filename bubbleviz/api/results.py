@@ -298,12 +298,15 @@ class Run(Sequence[FrameResult], Summary):
         self.poses: list[PoseRow] = []
         self._numbers = FrameTable(model.sensor.name)
         self._results: list[FrameResult] = []
+        self._failures: Counter[str] = Counter()  # statuses with their reasons
 
     def add(self, result: Result, *, keep: bool) -> None:
         """Add the result of the next frame; `keep`: in memory."""
         pose = [] if result.pose is None else [pose_row(result)]
         self.poses += pose
         self._numbers.add(result, pose_columns(pose[0]) if pose else None)
+        if result.estimate is not None and result.estimate.reason:
+            self._failures[result.estimate.status_text] += 1
         if keep:
             frame = replace(result.frame, depth_m=_NO_IMAGE, find_colour=None)
             self._results.append(FrameResult(replace(result, frame=frame), self.model))
@@ -484,8 +487,9 @@ class Run(Sequence[FrameResult], Summary):
 
     def facts(self) -> dict[str, Any]:
         """Context and statistics of the frames, or of the poses if an object was tracked."""
-        tracked = "object" in self.context
-        return self.context | (_pose_statistics(self.poses) if tracked else statistics(self.rows()))
+        found = _pose_statistics(self.poses) if self.poses else statistics(self.rows())
+        most_frequent = next((text for text, _ in self._failures.most_common(1)), None)
+        return self.context | found | {"failure": most_frequent}
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""
@@ -557,6 +561,7 @@ def load_run(path: str | Path) -> Run:
 
 
 _LINES = {
+    "failure": "why     {}",
     "fit": "fit     {} (medians)",
     "median_contact_force_n": "force   {:.3g} N median in contact, {max_force_n:.3g} N highest",
     "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench sensor, "

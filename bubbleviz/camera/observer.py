@@ -184,7 +184,7 @@ class RangeObserver:
         pixel = hits.ray[used]
         if not len(pixel):
             raise InputError(
-                "camera: no pixel in use sees the membrane; correct the camera's position_m and "
+                "no pixel in use sees the membrane; correct the camera's position_m and "
                 "quaternion_xyzw in the sensor file, or identify the sensor again if it has a "
                 "pixels file"
             )

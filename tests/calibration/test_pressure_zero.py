@@ -1,8 +1,12 @@
 """The zero of the gas pressure: learned at rest, kept across sensor files, reset."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from small_press import small_source
 
+import bubbleviz as bv
 from bubbleviz.recordings import Frame
 from bubbleviz.zeros import SKIPPED, ZERO_FRAMES, PressureZero
 
@@ -68,3 +72,16 @@ def test_zero_can_be_restored():
     assert zero.offset_pa == -40.0 and zero.rest_pa == REFERENCE - 40.0 and not zero.waiting
     zero.restore(None, waiting=True)
     assert zero.offset_pa is None and zero.waiting
+
+
+@pytest.mark.parametrize("missing", [0, -1])
+def test_a_recording_whose_pressure_starts_late_or_ends_early_is_zeroed(sensor, missing):
+    source = small_source(sensor, heights=(*4 * (0.06,), 0.042))
+    whole = [replace(each, gas_pressure_pa=each.gas_pressure_pa + 1500.0) for each in source]
+    frames = list(whole)
+    frames[missing] = replace(frames[missing], gas_pressure_pa=None)
+    run = bv.estimate(frames, sensor)
+    assert run.context["gas_zero"] == "gas pressure zero: +1500 Pa from " + (
+        "3 contact-free frames" if missing == 0 else "4 contact-free frames"
+    )
+    assert run[-1].force_n == pytest.approx(bv.estimate(whole, sensor)[-1].force_n, rel=0.03)

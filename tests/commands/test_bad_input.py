@@ -197,6 +197,24 @@ def test_warning_if_the_gas_pressure_does_not_match_the_sensor(
         assert "109.9 kPa " in line and "in the recording, but 103.9 kPa" in line
 
 
+@pytest.mark.parametrize(("tension", "warned"), [(105.0, False), (210.0, True), (0.105, True)])
+def test_warning_if_tension_and_gauge_pressure_do_not_balance(tmp_path, sensor, tension, warned):
+    """By Young–Laplace they do at 105 N/m."""
+    path = record_frames(tmp_path / "rec.mcap", small_source(sensor, heights=(0.06,)))
+    own = tmp_path / "own.toml"
+    added = f"chamber_volume_m3 = 0.0022\ntension_n_per_m = {tension}"
+    own.write_text(sensor.read_text().replace("chamber_volume_m3 = 0.0022", added))
+    done = run("estimate", path, "--sensor", own, "--out", tmp_path / "result.npz")
+    assert done.exit_code == 0, done.output
+    assert ("N/m balance its gauge pressure" in done.stderr) == warned
+
+
+def test_camera_that_looks_away(bench):
+    record(bench, GOOD)
+    bench.sensor.write_text(toml(replace={"-0.104": "0.104"}))
+    bench.refused("estimate", "sensor.toml", "no pixel in use sees the membrane")
+
+
 def test_missing_sensor_file(bench, solving):
     record(bench, GOOD)
     bench.sensor = bench.folder / "nope.toml"

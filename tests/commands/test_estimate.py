@@ -196,6 +196,7 @@ def test_a_frame_without_data_in_the_middle(folder, tmp_path, result):
     out = tmp_path / "r.npz"
     told = json.loads(output_of("estimate", recording, "--sensor", PRESET, "--out", out, "--json"))
     assert told["status"] == {"no_contact": 1, "ok": 2, "no_data": 1}
+    assert told["failure"].startswith("no_data: too few depth pixels")
     assert told["rms_force_n"] > 0.0
     found = arrays(out)
     assert found["status"].tolist() == ["no_contact", "ok", "no_data", "ok"]

@@ -31,7 +31,7 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
-from bubbleviz.sensor import Sensor, contradiction
+from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import truth_of
 from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
@@ -460,7 +460,7 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
     recording = current.recording
     zero = current.zeros.gas if stream is None else None  # a live source reports its zero later
     # recordings have a remark
-    remarks = [str(getattr(source, "remark", "")), contradiction(sensor)]
+    remarks = [str(getattr(source, "remark", "")), current.pipeline.model.contradiction]
     if stream is None:
         remarks.append(gas_warning(measured_pa, current.pipeline.model.gas.P0))
         remarks.append(_zero_remark(zero))
