@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_existing
+from bubbleviz.files import refuse_existing, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     INTRINSICS,
@@ -90,6 +90,7 @@ def convert(
         An input cannot be read or does not match the others, or `out` exists; nothing is written.
     """
     refuse_existing(out, overwrite=overwrite)
+    refuse_input(out, source)
     source = Path(source)
     progress("opening", 0.0)
     files = intrinsics, times, gas_pressure, wrench

@@ -17,7 +17,7 @@ from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import parse_pose, refuse_existing
+from bubbleviz.files import parse_pose, refuse_existing, refuse_input
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
@@ -165,7 +165,7 @@ def estimate(
         return _watched(frames, sensor, timeout_s, out, csv, **solving)
     if csv is not None and out is None:
         raise InputError(f"{csv}: a CSV is written only with a RESULT.npz; set out as well")
-    _check_outputs(out, csv, overwrite=overwrite)
+    _check_outputs(frames, out, csv, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
@@ -293,7 +293,7 @@ def track(
     solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Sequence | Path):
         return _watched(frames, sensor, timeout_s, out, object=obj, init=initial_pose, **solving)
-    _check_outputs(out, overwrite=overwrite)
+    _check_outputs(frames, out, overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
@@ -354,10 +354,16 @@ def watch_texture(frames: Frames, pipeline: Pipeline) -> str:
     return watch_recorded_texture(pipeline, source, lambda: find_contact_free(source).frames)
 
 
-def _check_outputs(*paths: str | Path | None, overwrite: bool) -> None:
+def path_of(frames: object) -> str | Path | None:
+    """Path of frames that are given by it, or come from a file; else None."""
+    return frames if isinstance(frames, str | Path) else getattr(frames, "path", None)
+
+
+def _check_outputs(frames: object, *paths: str | Path | None, overwrite: bool) -> None:
     given = [Path(path) for path in paths if path is not None]
     for path in given:
         refuse_existing(path, overwrite=overwrite)
+        refuse_input(path, path_of(frames))
     if len({path.absolute() for path in given}) < len(given):
         raise InputError(f"{given[0]}: given for both --out and --csv; choose two names")
 

@@ -10,6 +10,7 @@ from bubbleviz.api.estimating import (
     Recorded,
     SensorName,
     as_frames,
+    path_of,
     pipeline_for,
     watch_texture,
 )
@@ -17,7 +18,7 @@ from bubbleviz.api.estimator import FrameSolver, patch_options, solved
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
-from bubbleviz.files import whole_file
+from bubbleviz.files import refuse_input, whole_file
 from bubbleviz.output import ExportPlan, read_poses
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
 from bubbleviz.progress import Progress, quiet
@@ -91,6 +92,8 @@ def export(
     kinds = [word.strip() for text in texts for word in text.split(",") if word.strip()]
     joined = None if poses is None else read_poses(poses)
     plan = ExportPlan.of(out, kinds, joined, overwrite=overwrite)
+    for read in (poses, path_of(frames)):
+        refuse_input(out, read)
     options, chosen = patch_options(kappa), as_frames(frames)
     with OneBlasThread():
         _, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)

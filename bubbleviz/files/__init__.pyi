@@ -5,6 +5,7 @@ from .output_files import (
     free_name as free_name,
     portable_path as portable_path,
     refuse_existing as refuse_existing,
+    refuse_input as refuse_input,
     remove_unfinished as remove_unfinished,
     restore_on_error as restore_on_error,
     sync as sync,

@@ -120,6 +120,18 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
         raise InputError(f"{path}: folder {path.parent} is not writable; choose another folder")
 
 
+def refuse_input(output: str | Path | None, read: str | Path | None) -> None:
+    """Raise InputError if an output would replace a file that is read, or a folder that has it.
+
+    Either may be None, for none.
+    """
+    if output is None or read is None:
+        return
+    written, original = Path(output).resolve(), Path(read).resolve()
+    if written == original or written in original.parents:
+        raise InputError(f"{output}: would replace {read}, which is read; choose another name")
+
+
 def free_name(path: Path) -> Path:
     """The path if it does not exist, else with the first unused number: `a-2.mcap`."""
     free, number = path, 2

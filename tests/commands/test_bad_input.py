@@ -283,6 +283,25 @@ def test_depth_that_never_meets_the_membrane(bench):
     bench.refused("estimate", bench.recording.name, "on the membrane")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("estimate", "REC", "--sensor", "SENSOR", "--out", "REC"),
+        ("estimate", "REC", "--sensor", "SENSOR", "--out", "OUT", "--csv", "REC"),
+        ("pose", "REC", "--sensor", "SENSOR", "--object", "sphere", "--out", "REC"),
+        ("export", "REC", "--sensor", "SENSOR", "--what", "depth", "--out", "REC"),
+        ("convert", "REC", "REC"),
+    ],
+    ids=["estimate", "csv", "pose", "export", "convert"],
+)
+def test_an_output_never_replaces_the_recording(bench, words):
+    bag = BagMaker("mcap folder")
+    for k, pixels in enumerate(GOOD):
+        bag.image(START + k * 10**8, pixels)
+    bench.recording = bag.write(bench.folder)
+    bench.refused((*words, "--overwrite"), "would replace", "choose another name")
+
+
 @pytest.mark.parametrize("file", ["result.npz", "result.csv"])
 def test_an_existing_output_is_refused_before_any_work(bench, file, monkeypatch):
     record(bench, GOOD)
