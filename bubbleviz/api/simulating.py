@@ -67,6 +67,8 @@ class Simulation(Frames):
         """
         for path in (out, truth) if truth else (out,):
             refuse_existing(path, overwrite=overwrite)
+        if truth is not None and Path(truth).absolute() == Path(out).absolute():
+            raise InputError(f"{out}: given for both --out and --truth; choose two names")
         truths: list[Truth] = []
         with OneBlasThread(), ExitStack() as stack:
             file = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None

@@ -96,3 +96,9 @@ def test_bad_line_of_a_path_is_named(sensor_file, tmp_path):
     words = words_of(sensor_file, tmp_path, "--object", "sphere", "--path", poses)
     assert "line 3" in refusal(*words)
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_the_same_name_for_recording_and_truth(sensor_file, tmp_path):
+    words = ("--object", "sphere", "--pose", POSE, "--truth", tmp_path / "out.mcap")
+    assert "two names" in refusal(*words_of(sensor_file, tmp_path, *words))
+    assert not list(tmp_path.iterdir())
