@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import bubbleviz as bv
-from bubbleviz.calibration import Quantity, Vented, collect, rest_gauge, with_rubber
+from bubbleviz.calibration import Quantity, collect, rest_gauge, with_rubber
 from bubbleviz.sensor import edited
 from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber, InflatedSensor
 from bubbleviz.study.harness import (
@@ -119,7 +119,7 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     rng = np.random.default_rng([seed, list(RUBBERS).index(name)])  # independent of other rubbers
     weather = ATMOSPHERE_PA + _WEATHER_PA * rng.standard_normal()
     sigma = _VENTED_NOISE_PA / np.sqrt(_VENTED_FRAMES)
-    vented = Vented("vented", ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
+    vented = Quantity.normal(ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
     sensor = edited(
         rubber.sensor(grid.width), {"pneumatics.atmospheric_pressure_pa": round(weather, 1)}
     )
@@ -132,8 +132,7 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     alone = bv.identify(
         rest, sensor, contact_free=range(grid.frames), nodes=grid.nodes, held_press=False
     ).found
-    gauge_pa, sigma_pa = rest_gauge(alone.samples, sensor, vented)
-    tension = alone.tension.under(Quantity.normal(gauge_pa, sigma_pa or 0.0))
+    tension = alone.tension.under(rest_gauge(alone.samples, sensor, vented))
     opened = replace(alone, tension=tension, vented=vented)
     for known, given in (("levels", alone), ("vented", opened)):
         found = with_rubber(given, levels)

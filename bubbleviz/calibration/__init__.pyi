@@ -8,7 +8,7 @@ from .ellipsoid import (
 )
 from .identification import (
     Identification as Identification,
-    Vented as Vented,
+    open_chamber as open_chamber,
     rest_gauge as rest_gauge,
 )
 from .material import (

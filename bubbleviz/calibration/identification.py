@@ -34,31 +34,6 @@ if TYPE_CHECKING:
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
 
 
-@dataclass(frozen=True)
-class Vented:
-    """Gas pressure of the open chamber, with the same sensor offset as when it is closed."""
-
-    source_name: str
-    pressure_pa: float  # absolute, Pa
-    sigma_pa: float  # standard error, Pa
-
-    @classmethod
-    def measure(cls, source: FrameSource) -> Vented:
-        """Mean over all frames of a recording.
-
-        Raises InputError: fewer than five frames with a gas pressure.
-        """
-        fewest = 5  # for a mean with a standard error; chosen
-        values = [source[k].gas_pressure_pa for k in range(len(source))]
-        known = np.array([value for value in values if value is not None])
-        if len(known) < fewest:
-            raise InputError(
-                f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
-                f"{fewest} or more with the chamber open, or give no open chamber (--vented)"
-            )
-        return cls(source.name, float(np.mean(known)), error_of_mean(known))
-
-
 _NOT_YET: Any = None  # value of a result whose step was not done
 
 
@@ -77,7 +52,8 @@ class Identification:
     pixels: PixelModel = _NOT_YET
     surfaces: Surfaces = _NOT_YET
     tension: TensionEstimate = _NOT_YET
-    vented: Vented | None = None  # the open chamber, whose pressure is in the tension
+    # absolute gas pressure of the open chamber, Pa, from which the tension has its gauge pressure
+    vented: Quantity | None = None
     # None without inflation levels, press and open chamber
     rubber: RubberEstimate | None = None
     validation: Validation | None = None  # by a known press
@@ -99,30 +75,6 @@ class Identification:
     def prestretch(self) -> Quantity | None:
         """λ; None where it is not determined."""
         return None if self.rubber is None else self.rubber.prestretch
-
-    @property
-    def gauge_source(self) -> str:
-        """Source of the gauge pressure, as text."""
-        if self.vented is not None:
-            return f"the open-chamber recording {self.vented.source_name}"
-        if self.rubber is not None and self.rubber.gauge is not None:
-            return f"{self.rubber.shapes_text}; {self.file_source}"
-        return self.file_source
-
-    @property
-    def file_source(self) -> str:
-        """Source of the gauge pressure of `rest_gauge` without an open chamber, as text."""
-        if self.samples.gas_pressure_pa is None or self.given.pneumatics.gauge_sigma_pa is not None:
-            return "the sensor file"
-        return "the recorded gas pressure minus the atmospheric pressure in the sensor file"
-
-    @property
-    def prestretch_source(self) -> str:
-        """Source of λ, as text; empty where it is not determined."""
-        if self.rubber is None or self.prestretch is None:
-            return ""
-        chamber = "" if self.vented is None else f"; the gauge pressure from {self.gauge_source}"
-        return self.rubber.shapes_text + chamber
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -156,43 +108,58 @@ class Identification:
 
     def _pressures(self) -> dict[str, float | None]:
         """Pressures and γ0 for the sensor file."""
-        gauge, sigma = self.tension.gauge_pressure_pa, self.tension.gauge_sigma_pa
+        gauge = self.tension.gauge
+        sigma = max(round(gauge.sigma, 1), _RESOLUTION_PA) if gauge.known else None
         values = {
-            "gauge_pressure_pa": round(gauge, 1),
-            "gauge_sigma_pa": None if sigma is None else max(round(sigma, 1), _RESOLUTION_PA),
+            "gauge_pressure_pa": round(gauge.value, 1),
+            "gauge_sigma_pa": sigma,
             "tension_n_per_m": round(self.tension_n_per_m, 3),
         }
         if self.samples.gas_pressure_pa is not None:
             absolute = float(np.mean(self.samples.gas_pressure_pa))
-            values["atmospheric_pressure_pa"] = round(absolute - gauge, 1)
+            values["atmospheric_pressure_pa"] = round(absolute - gauge.value, 1)
         return values
 
 
-def rest_gauge(
-    samples: FrameSamples, sensor: Sensor, vented: Vented | None = None
-) -> tuple[float, float | None]:
-    """Gauge pressure of the contact-free frames and its standard deviation, Pa.
+def open_chamber(source: FrameSource) -> Quantity:
+    """Absolute gas pressure of the open chamber, Pa: mean over all frames of a recording.
 
-    With the open chamber, the difference of both recorded gas pressures. Else the sensor file's
-    where it has a standard deviation, or no gas pressure was recorded. Else the recorded pressure
-    less the sensor file's atmospheric pressure, with the weather's deviation. Where the recorded
-    pressure differs from that of the sensor file, either the weather or the inflation has changed,
-    so the difference, up to the weather's, adds to the file's deviation. A deviation of None: not
-    known.
+    Raises InputError: fewer than five frames with a gas pressure.
     """
-    pneumatics = sensor.pneumatics
+    fewest = 5  # for a mean with a standard error; chosen
+    values = [source[k].gas_pressure_pa for k in range(len(source))]
+    known = np.array([value for value in values if value is not None])
+    if len(known) < fewest:
+        raise InputError(
+            f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
+            f"{fewest} or more with the chamber open, or give no open chamber (--vented)"
+        )
+    name = f"the open-chamber recording {source.name}"
+    return Quantity.normal(float(np.mean(known)), error_of_mean(known), name)
+
+
+def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = None) -> Quantity:
+    """Gauge pressure of the contact-free frames, Pa.
+
+    With the pressure of the open chamber, the difference of both recorded gas pressures. Else the
+    sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
+    recorded pressure less the sensor file's atmospheric pressure, with the weather's deviation.
+    Where the recorded pressure differs from that of the sensor file, either the weather or the
+    inflation has changed, so the difference, up to the weather's, adds to the file's deviation.
+    """
+    pneumatics, in_file = sensor.pneumatics, "the sensor file"
     gauge, sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
     gas = samples.gas_pressure_pa
     if gas is None:
         if vented is not None:
             raise InputError(
                 f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
-                f"{vented.source_name} does not determine the gauge pressure; record it in all of "
+                f"{vented.source} does not determine the gauge pressure; record it in all of "
                 "them, or give no open chamber (--vented)"
             )
-        return gauge, sigma
+        return Quantity.normal(gauge, sigma, in_file)
     recorded = float(np.mean(gas))
-    air = pneumatics.atmospheric_pressure_pa if vented is None else vented.pressure_pa
+    air = pneumatics.atmospheric_pressure_pa if vented is None else vented.value
     if sigma is not None and vented is None:
         if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
             raise InputError(
@@ -200,21 +167,23 @@ def rest_gauge(
                 f"gauge pressure {gauge:.0f} Pa is not a plausible atmospheric pressure; record "
                 "the absolute pressure in Pa, or correct gauge_pressure_pa in the sensor file"
             )
-        change = abs(recorded - pneumatics.reference_pressure_pa)
-        return gauge, float(np.hypot(sigma, min(change, WEATHER_SIGMA_PA)))
+        change = min(abs(recorded - pneumatics.reference_pressure_pa), WEATHER_SIGMA_PA)
+        return Quantity.normal(gauge, float(np.hypot(sigma, change)), in_file)
     gauge = recorded - air
     if gauge <= 0.0:
-        whose, remedy = "atmospheric_pressure_pa of the sensor file", "correct that"
+        whose, remedy = f"atmospheric_pressure_pa of {in_file}", "correct that"
         if vented is not None:
-            whose, remedy = vented.source_name, "give the recording of the open chamber"
+            whose, remedy = vented.source, "give the recording of the open chamber"
         raise InputError(
             f"{samples.source_name}: gas pressure {recorded:.0f} Pa is not above the atmospheric"
             f" {air:.0f} Pa from {whose}; inflate the bubble, record the absolute pressure in Pa, "
             f"or {remedy}"
         )
-    if vented is not None:
-        return gauge, max(float(np.hypot(vented.sigma_pa, error_of_mean(gas))), _RESOLUTION_PA)
-    return gauge, WEATHER_SIGMA_PA
+    if vented is None:
+        source = f"the recorded gas pressure minus the atmospheric pressure in {in_file}"
+        return Quantity.normal(gauge, WEATHER_SIGMA_PA, source)
+    sigma = max(float(np.hypot(vented.sigma, error_of_mean(gas))), _RESOLUTION_PA)
+    return Quantity.normal(gauge, sigma, vented.source)
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

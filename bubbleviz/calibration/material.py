@@ -29,7 +29,6 @@ class RubberEstimate:
     # gauge pressure of the reference surface, Pa, weighted mean of that from the shapes and the
     # sensor file's; None: known by the open chamber, or not determined
     gauge: Quantity | None = None
-    shapes_text: str = ""  # the recordings of levels or press, for reports
     shapes_kind: Literal["press", "levels"] = "levels"
     why_not: str = ""  # why λ is not determined; empty where it is
     # gauge pressure from the shapes alone, and from the sensor file, Pa; None: no weighted mean
@@ -114,16 +113,14 @@ def _estimate(
     if not shapes:
         return RubberEstimate(why_not="neither levels nor a held press were used")
     names = ", ".join(each.source_name for each in shapes)
-    known = RubberEstimate(
-        shapes_text=f"the press in {names}" if pressed else f"inflation levels: {names}",
-        shapes_kind="press" if pressed else "levels",
-    )
-    gauge = found.tension.gauge_pressure_pa
-    sigma = found.tension.gauge_sigma_pa or WEATHER_SIGMA_PA
+    source = f"the press in {names}" if pressed else f"inflation levels: {names}"
+    known, gauge = RubberEstimate(shapes_kind="press" if pressed else "levels"), found.tension.gauge
+    if not gauge.known:
+        gauge = Quantity.normal(gauge.value, WEATHER_SIGMA_PA, gauge.source)
     try:
         problem = RubberProblem(found, shapes, level_sigma_pa, pressed=pressed)
         alone = problem.fit()
-        fit = problem.refit(alone, sigma / gauge)
+        fit = problem.refit(alone, gauge.sigma / gauge.value)
     except InputError as error:
         return replace(known, why_not=str(error))
     known = replace(
@@ -132,8 +129,9 @@ def _estimate(
         change_rms_m=problem.change_rms_m,
         unexplained_rms_m=problem.unexplained_rms_m(fit.vector),
     )
-    by_file = None if found.vented else Quantity.normal(gauge, sigma)
-    return _with_fit(alone, fit, by_file, known)
+    if found.vented is None:
+        return _with_fit(alone, fit, gauge, known, source)
+    return _with_fit(alone, fit, None, known, f"{source}; the gauge pressure from {gauge.source}")
 
 
 def _with_fit(
@@ -141,6 +139,7 @@ def _with_fit(
     fit: Fit,  # from the shapes and the gauge pressure that is known otherwise
     by_file: Quantity | None,  # gauge pressure in the sensor file, Pa; None: the chamber was opened
     known: RubberEstimate,
+    source: str,  # of λ, for reports
 ) -> RubberEstimate:
     """Estimate with λ and gauge pressure of the fit, or the reason why λ is not determined.
 
@@ -156,7 +155,7 @@ def _with_fit(
         return replace(known, why_not=f"no rubber of this shape at rest fits: {misfit}")
     covariance, found = fit.covariance, known
     if by_file is not None:
-        by_shapes, mean = (_gauge(each, by_file.value) for each in (alone, fit))
+        by_shapes, mean = (_gauge(each, by_file.value, source) for each in (alone, fit))
         candidates = by_shapes, by_file
         found = replace(known, gauge_candidates=candidates)
         spread = np.hypot(by_shapes.sigma, by_file.sigma)
@@ -167,7 +166,8 @@ def _with_fit(
         if found.contradicts_file:
             ends = (by_shapes.low, by_shapes.high, by_file.low, by_file.high)
             sigma = max(sigma, *(abs(end - mean.value) / HALF_95 for end in ends))
-        found = replace(found, gauge=Quantity.normal(mean.value, sigma))
+        both = f"{source}; {by_file.source}"
+        found = replace(found, gauge=Quantity.normal(mean.value, sigma, both))
         covariance = covariance * (sigma / mean.sigma) ** 2
     # variance of q at a fixed gauge pressure
     conditional = fit.covariance[0, 0] - fit.covariance[0, 1] ** 2 / fit.covariance[1, 1]
@@ -177,11 +177,11 @@ def _with_fit(
         return replace(found, why_not=f"{what} fits the {found.shapes_kind} as well")
     wide = Quantity.normal(float(fit.vector[0]), float(np.sqrt(covariance[0, 0])))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
-    return replace(found, prestretch=Quantity(*(x ** (-1.0 / 6.0) for x in (q.value, high, low))))
+    value, low, high = (x ** (-1.0 / 6.0) for x in (q.value, high, low))
+    return replace(found, prestretch=Quantity(value, low, high, source))
 
 
-def _gauge(fit: Fit, start_pa: float) -> Quantity:
+def _gauge(fit: Fit, start_pa: float, source: str) -> Quantity:
     """Gauge pressure of a fit from its initial value, Pa."""
-    return Quantity.normal(
-        start_pa * float(fit.vector[1]), start_pa * float(np.sqrt(fit.covariance[1, 1]))
-    )
+    value, sigma = float(fit.vector[1]), float(np.sqrt(fit.covariance[1, 1]))
+    return Quantity.normal(start_pa * value, start_pa * sigma, source)

@@ -98,12 +98,12 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
-    if (gauge := found.tension.gauge) is not None:
+    if (gauge := found.tension.gauge).known:
         known["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
-        known["gauge_from"] = found.gauge_source
+        known["gauge_from"] = gauge.source
     if (stretch := found.prestretch) is not None:
         known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
-        known["prestretch_from"] = found.prestretch_source
+        known["prestretch_from"] = stretch.source
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
@@ -146,7 +146,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "validation": _validation(found),
         "rectification": _rectification(found),
         "rubber": _rubber(found),
-        "gauge_pressure_pa": tension.gauge_pressure_pa,
+        "gauge_pressure_pa": tension.gauge.value,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
         "dimensions": {name: asdict(each) for name, each in tension.dimensions.items()},
@@ -213,10 +213,10 @@ def _rubber(found: Identification) -> dict[str, Any] | None:
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
         "prestretch": rubber.prestretch and asdict(rubber.prestretch),
-        "prestretch_from": found.prestretch_source or None,
+        "prestretch_from": rubber.prestretch and rubber.prestretch.source,
         "why_not_determined": rubber.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge),
-        "gauge_from": found.gauge_source,
+        "gauge_from": found.tension.gauge.source,
         "from": rubber.shapes_kind if fitted else None,
         "levels": {name: getattr(rubber, name) for name in names} if fitted else None,
     }

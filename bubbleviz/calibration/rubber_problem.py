@@ -16,7 +16,7 @@ variance of G with model errors to that by noise alone.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
@@ -95,18 +95,6 @@ def _rest_rubber(
     return lambda q: prestressed(mesh, 1.0, tension / (1.0 - q), stress, slack_m)
 
 
-@dataclass(frozen=True)
-class _MeasuredShape:
-    """Measured change of the membrane from rest under another gas pressure."""
-
-    samples: FrameSamples
-    rise_pa: float  # gas pressure minus that at rest
-    # change_m, weight: (B,), change of the range of each block, m, and its 1/σ²
-    change_m: np.ndarray
-    weight: np.ndarray
-    zone: np.ndarray  # (k,) int, nodes that may be in contact
-
-
 class _PredictedShape(NamedTuple):
     rubber: RubberMembrane
     x: np.ndarray  # (n, 3), m
@@ -145,34 +133,42 @@ class RubberProblem:
         self._observer = observer = model.observer()
         self._surfaces, self._rest, self._mesh = found.surfaces, found.samples, found.mesh
         rest, mesh = self._rest, self._mesh
-        self._gauge_pa = gauge_pa = found.tension.gauge_pressure_pa
+        self._gauge_pa = gauge_pa = found.tension.gauge.value
         # relative, of the stress from shape and gauge pressure
         self._stress_sigma = found.tension.of_shape.sigma / found.tension.of_shape.value
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
         self._rubber = _rest_rubber(mesh, self._slack_m)
-        self._shapes = [_measured(observer, rest, each, pressed=pressed) for each in shapes]
-        for shape in self._shapes:
-            _check_rise(shape, gauge_pa, pressed=pressed)
-        ends = 2 + np.cumsum([0, *(len(shape.zone) for shape in self._shapes)])
+        self._shapes, self._pressed = shapes, pressed
+        pressures = np.array([_mean_pressure(each) for each in (rest, *shapes)])
+        self.rises_pa = tuple((pressures[1:, 0] - pressures[0, 0]).tolist())
+        for each, rise_pa in zip(shapes, self.rises_pa, strict=True):
+            _check_rise(each.source_name, rise_pa, gauge_pa, pressed=pressed)
+        # (S, B), change of the range of each block in every shape, m, and its 1/σ²
+        measured = [_change(observer, rest, each) for each in shapes]
+        self._change_m, weight = (np.stack(each) for each in zip(*measured, strict=True))
+        self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
+        # nodes of every shape that may be in contact
+        self._zones = [np.zeros(0, int)] * len(shapes)
+        if pressed:
+            self._zones = [
+                _dent_nodes(observer, change, precision, each.source_name)
+                for change, precision, each in zip(self._change_m, weight, shapes, strict=True)
+            ]
+        ends = 2 + np.cumsum([0, *map(len, self._zones)])
         self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(shapes))
         self._size = self._errors.stop
-        self.rises_pa = tuple(shape.rise_pa for shape in self._shapes)
         if level_sigma_pa is None:
             level_sigma_pa = _PRESSURE_ERROR * (gauge_pa + max(0.0, *self.rises_pa))
-        noise = [_mean_pressure(each)[1] for each in (rest, *shapes)]
-        self._pressure_sigma_pa = np.hypot(noise, 0.0 if pressed else level_sigma_pa)
+        self._pressure_sigma_pa = np.hypot(pressures[:, 1], 0.0 if pressed else level_sigma_pa)
         # residuals that penalise rough contact pressures
         self._smooth = np.zeros((self._errors.start - 2, self._size))
         laplacian = cotangent_laplacian(mesh).tocsr()
-        for shape, place in zip(self._shapes, self._places, strict=True):
-            if len(shape.zone):
-                root = np.linalg.cholesky(laplacian[shape.zone][:, shape.zone].toarray()).T
+        for zone, place in zip(self._zones, self._places, strict=True):
+            if len(zone):
+                root = np.linalg.cholesky(laplacian[zone][:, zone].toarray()).T
                 self._smooth[place.start - 2 : place.stop - 2, place] = root / PRESSURE_SCALE
-        weight = np.concatenate([shape.weight for shape in self._shapes])
-        self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
-        self._change_m = np.concatenate([shape.change_m for shape in self._shapes])
         self._start_from_rest()
         tangent = self._rubber(_INITIAL_Q[0]).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
@@ -208,13 +204,13 @@ class RubberProblem:
         moved, at_rest = membrane.mesh.nodes - self._mesh.nodes, np.zeros(self._observer.blocks)
         if moved.any():
             at_rest = self._observer.around(membrane.mesh.nodes).model_m
-        for shape, place, rise_pa, last in zip(
-            self._shapes, self._places, rises_pa, self._initial, strict=True
+        for zone, place, rise_pa, last in zip(
+            self._zones, self._places, rises_pa, self._initial, strict=True
         ):
             pressure: float | np.ndarray = 1.0 + rise_pa / gauge_pa
-            if len(shape.zone):
+            if len(zone):
                 pressure = np.full(len(moved), pressure)
-                pressure[shape.zone] -= vector[place]
+                pressure[zone] -= vector[place]
             x, factor = (self._mesh.nodes, None) if last is None else (last.x, last.factor)
             equilibrium = self._equilibrium(membrane, pressure, x + moved, factor)
             if equilibrium is None:
@@ -265,28 +261,26 @@ class RubberProblem:
         return None
 
     def _differentiated(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the changes by the unknowns (D, N), and by the stress at rest (D,)."""
+        """Derivatives of the changes by the unknowns (S·B, N), and by the stress at rest (S·B,)."""
         found, q = self._shapes_at(vector), float(vector[0])
         assert found is not None
         rubber, rubber_after_step = found[0].rubber, self._rubber((1.0 + _STEP_OF_Q) * q)
         rest_force, slopes, by_stress = rubber.force(rubber.mesh.nodes), [], []
         gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
         error = np.arange(self._size)[self._errors]
-        for k, (shape, place, each) in enumerate(
-            zip(self._shapes, self._places, found, strict=True)
-        ):
+        for k, (zone, place, each) in enumerate(zip(self._zones, self._places, found, strict=True)):
             moving, area = rubber.moving, rubber.volume_gradient(each.x)
             by_q = rubber.residual(each.x, each.pressure)
             by_q = by_q - rubber_after_step.residual(each.x, each.pressure)
-            forces = np.zeros((*each.x.shape, 3 + len(shape.zone)))
+            forces = np.zeros((*each.x.shape, 3 + len(zone)))
             forces[..., 0] = rest_force - rubber.force(each.x)
             forces[..., 1] = by_q / (_STEP_OF_Q * q)
             forces[..., 2] = area / gauge_pa
-            forces[shape.zone, :, 3 + np.arange(len(shape.zone))] = -area[shape.zone]
+            forces[zone, :, 3 + np.arange(len(zone))] = -area[zone]
             motions = np.zeros_like(forces)
             right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
             motions[moving] = each.factor.solve(right).reshape(len(moving), 3, -1)
-            rows = np.zeros((len(shape.change_m), motions.shape[2]))
+            rows = np.zeros((self._observer.blocks, motions.shape[2]))
             rows[each.view.block] = each.view.jacobian @ motions.reshape(3 * len(each.x), -1)
             of_shape = np.zeros((len(rows), self._size))
             by_rise = rows[:, 2]  # per pascal
@@ -299,11 +293,11 @@ class RubberProblem:
         return np.concatenate(slopes), np.concatenate(by_stress)
 
     def _residuals(self, vector: np.ndarray) -> np.ndarray:
-        """Measured minus modelled change, (D,), m; NaN: not visible, inf: no equilibrium."""
+        """Measured minus modelled change, (S, B), m; NaN: not visible, inf: no equilibrium."""
         found = self._shapes_at(vector)
         if found is None:
-            return np.full(len(self._change_m), np.inf)
-        return self._change_m - np.concatenate([each.change_m for each in found])
+            return np.full(self._change_m.shape, np.inf)
+        return self._change_m - np.stack([each.change_m for each in found])
 
     # -- least squares --------------------------------------------------------------------------
 
@@ -327,7 +321,7 @@ class RubberProblem:
             return self._with_covariance(vector, np.inf, 1.0)
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape at rest explains the shapes in"
-            f" {', '.join(shape.samples.source_name for shape in self._shapes)}; check the"
+            f" {', '.join(each.source_name for each in self._shapes)}; check the"
             " recorded gas pressures, and the pressures in the sensor file"
         )
 
@@ -356,15 +350,15 @@ class RubberProblem:
     ) -> np.ndarray:
         from scipy.optimize import least_squares  # 0.1 s: not at the window's start
 
-        root, data = self._root / (scale or self._scale(vector)), len(self._root)
+        root, data = self._root / (scale or self._scale(vector)), self._root.size
         priors, prior_values = self._priors(gauge_sigma)
 
         def residuals(v: np.ndarray) -> np.ndarray:
             z = np.nan_to_num(self._residuals(v) * root, nan=_OUTLIER, posinf=np.inf)
-            return np.concatenate([z, self._smooth @ v, priors @ v - prior_values])
+            return np.concatenate([z.ravel(), self._smooth @ v, priors @ v - prior_values])
 
         def jacobian(v: np.ndarray) -> np.ndarray:
-            rows = -np.nan_to_num(root)[:, None] * self._slopes(v)[0]
+            rows = -np.nan_to_num(root).reshape(-1, 1) * self._slopes(v)[0]
             return np.concatenate([rows, self._smooth, priors])
 
         def loss(squares: np.ndarray) -> np.ndarray:
@@ -388,9 +382,9 @@ class RubberProblem:
     # -- errors ---------------------------------------------------------------------------------
 
     def _with_covariance(self, vector: np.ndarray, gauge_sigma: float, temper: float) -> Fit:
-        (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector)
-        scale = self._scale(vector)
-        root, z = np.nan_to_num(self._root) / scale, residuals * self._root / scale
+        (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector).ravel()
+        root, change_m = self._root.ravel() / self._scale(vector), self._change_m.ravel()
+        root, z = np.nan_to_num(root), residuals * root
         rows, z_known = slopes * root[:, None], np.nan_to_num(z)
         weight = tukey_weights(z, 1.0) / temper
         efficiency = float(np.nan_to_num(tukey_slopes(z, 1.0)).sum() / weight.sum() / temper)
@@ -410,7 +404,7 @@ class RubberProblem:
         known = np.nan_to_num(residuals)
         errors = [  # (2,) each, of q and G, by one source of error
             (self._mesh.edge_length * 0.5 * mean_curvature(self._mesh)) ** 2
-            * (influence.T @ (self._change_m - known)),
+            * (influence.T @ (change_m - known)),
             -self._stress_sigma * (influence.T @ by_stress),
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
             np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
@@ -418,11 +412,13 @@ class RubberProblem:
         for rubber, share in self._other_rubbers:
             other = self._predicted(vector, rubber(float(vector[0])))
             if other is not None:
-                change = np.concatenate([each.change_m for each in other]) - self._change_m
+                change = np.concatenate([each.change_m for each in other]) - change_m
                 errors.append(-share * influence.T @ np.nan_to_num(change + residuals))
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
-        divided = [_view_parts(self._observer, shape) for shape in self._shapes]
+        divided = [
+            _view_parts(self._observer, change, pressed=self._pressed) for change in self._change_m
+        ]
         sets = [np.concatenate(each) for each in zip(*divided, strict=True)]
         for part in sets:
             count = int(part.max()) + 1
@@ -439,21 +435,21 @@ class RubberProblem:
     @cached_property
     def _other_rubbers(self) -> list[tuple[Rubber, float]]:
         """Rubber to estimate model errors, and the rms share of its difference that is an error."""
-        mesh, slack_m, sheet = self._mesh, self._slack_m, self._surfaces.sheet
+        mesh, slack_m, sheet = self._mesh, self._slack_m, self._surfaces.as_flat_sheet
         smoother = Prestress.of(mesh, 1.0, STRESS_DEGREE - 2).on(mesh)
         others = [
             (_rest_rubber(mesh, slack_m, smoother), 1.0),
             (_rest_rubber(self._surfaces.other_mesh, slack_m), 1.0),
         ]
         if sheet is not None:  # the stress lies anywhere between that of a film and of a sheet
-            others.append((_rest_rubber(mesh, slack_m, sheet.stress_on(mesh)), 1.0 / np.sqrt(3.0)))
+            others.append((_rest_rubber(mesh, slack_m, sheet[0]), 1.0 / np.sqrt(3.0)))
         return others
 
     @cached_property
     def _observed(self) -> list[tuple[DepthStatistics, np.ndarray]]:
         """Statistics and ranges (F, B) of the blocks, at rest and of each shape, m; NaN: unseen."""
         out = []
-        for samples in (self._rest, *(shape.samples for shape in self._shapes)):
+        for samples in (self._rest, *self._shapes):
             seen = [self._observer.observe(image) for image in samples.depth_m]
             ranges = [np.where(each.weight > 0.0, each.residual_m, np.nan) for each in seen]
             out.append((samples.statistics, np.stack(ranges)))
@@ -461,12 +457,12 @@ class RubberProblem:
 
     def _noise(
         self,
-        influence: np.ndarray,  # (D, 2), of every change of range
-        residual_m: np.ndarray,  # (D,)
+        influence: np.ndarray,  # (S·B, 2), of every change of range
+        residual_m: np.ndarray,  # (S·B,)
     ) -> np.ndarray:
         """Covariance (2, 2) by the noise of all frames and the residuals of the model."""
-        ends = np.cumsum([len(shape.change_m) for shape in self._shapes])[:-1]
-        influences, residuals = np.split(influence, ends), np.split(residual_m, ends)
+        shapes = len(self._shapes)
+        influences, residuals = np.split(influence, shapes), np.split(residual_m, shapes)
         influences.insert(0, -np.sum(influences, axis=0))
         residuals.insert(0, np.zeros(len(influences[0])))
         observer, total = self._observer, np.zeros((2, 2))
@@ -496,31 +492,32 @@ def _kept(compute: Callable[[np.ndarray], T]) -> Callable[[np.ndarray], T]:
     return lambda vector: last(vector.tobytes())
 
 
-def _measured(
-    observer: RangeObserver, rest: FrameSamples, samples: FrameSamples, *, pressed: bool
-) -> _MeasuredShape:
+def _change(
+    observer: RangeObserver, rest: FrameSamples, samples: FrameSamples
+) -> tuple[np.ndarray, np.ndarray]:
+    """Change of the range of each block from rest, (B,), m, and its 1/σ², 0 where unknown."""
     if samples.statistics.range_m.shape != rest.statistics.range_m.shape:
         raise InputError(
             f"{samples.source_name}: image size differs from that of the frames at rest; record "
             "all with one resolution"
         )
-    rise = _mean_pressure(samples)[0] - _mean_pressure(rest)[0]
     steady = samples.statistics.validity >= samples.statistics.regular_validity
     ranges = np.where(steady, samples.statistics.range_m, np.nan)
     found = observer.observe(ranges / samples.camera.range_per_depth)
-    shape = _MeasuredShape(samples, rise, found.residual_m, found.weight, np.zeros(0, int))
-    return replace(shape, zone=_dent_nodes(observer, shape)) if pressed else shape
+    return found.residual_m, found.weight
 
 
-def _dent_nodes(observer: RangeObserver, shape: _MeasuredShape) -> np.ndarray:
-    """Nodes deep enough in a dent to be in contact."""
+def _dent_nodes(
+    observer: RangeObserver, change_m: np.ndarray, weight: np.ndarray, name: str
+) -> np.ndarray:
+    """Nodes deep enough in a dent to be in contact, by the change of each block (B,)."""
     mesh, view = observer.mesh, observer.around(observer.mesh.nodes)
     n = len(mesh.nodes)
     outward = sparse.csr_array(
         (mesh.normals.ravel(), np.arange(3 * n), 3 * np.arange(n + 1)), shape=(n, 3 * n)
     )
     by_node = (view.jacobian @ outward.T).tocsr()
-    weight, change = shape.weight[view.block], shape.change_m[view.block]
+    weight, change = weight[view.block], change_m[view.block]
     total = by_node.T @ weight
     moved = np.divide(by_node.T @ (weight * change), total, out=np.zeros(n), where=total > 0.0)
     deviations = moved * np.sqrt((by_node**2).T @ weight)
@@ -533,7 +530,6 @@ def _dent_nodes(observer: RangeObserver, shape: _MeasuredShape) -> np.ndarray:
         if deviations[nodes].min() < -SIGNIFICANT:
             zone[nodes] = moved[nodes] < _EDGE_OF_DENT * moved[nodes].min()
     if not zone.any():
-        name = shape.samples.source_name
         raise InputError(
             f"{name}: no dent in the depth images while the gas pressure is high; press in view "
             "of the camera, or check the pressure topic"
@@ -543,24 +539,25 @@ def _dent_nodes(observer: RangeObserver, shape: _MeasuredShape) -> np.ndarray:
     return np.flatnonzero(zone | (adjacent & hidden & ~mesh.rim))
 
 
-def _view_parts(observer: RangeObserver, shape: _MeasuredShape) -> list[np.ndarray]:
+def _view_parts(
+    observer: RangeObserver, change_m: np.ndarray, *, pressed: bool
+) -> list[np.ndarray]:
     """Part of the view of each block, (B,) int, per division: rings, or two sets of sectors."""
-    if not len(shape.zone):
+    if not pressed:
         mesh = observer.mesh
         hits = observer.around(mesh.nodes).hits
-        height = np.full(len(shape.change_m), -np.inf)
+        height = np.full(len(change_m), -np.inf)
         corners = mesh.nodes[mesh.triangles[hits.triangle], 2]
         height[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, corners)
         return [np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)]
     row, column = np.divmod(observer.block_number, observer.columns)
-    deepest = int(np.argmin(shape.change_m))
+    deepest = int(np.argmin(change_m))
     turn = np.arctan2(row - row[deepest], column - column[deepest]) / (2.0 * np.pi)
     shifts = 0.0, 0.5 / _SECTORS
     return [(np.floor((turn + shift) * _SECTORS) % _SECTORS).astype(int) for shift in shifts]
 
 
-def _check_rise(shape: _MeasuredShape, gauge_pa: float, *, pressed: bool) -> None:
-    name, rise = shape.samples.source_name, shape.rise_pa
+def _check_rise(name: str, rise: float, gauge_pa: float, *, pressed: bool) -> None:
     if pressed and rise < 0.0:
         raise InputError(
             f"{name}: the gas pressure falls by {-rise:.0f} Pa during the press, impossible in a "

@@ -63,7 +63,7 @@ class SensorComparison:
         }
         names = list(intervals)
         intervals["height"] = new.tension.dimensions["height_m"]
-        half = {name: None if each is None else each.half_width for name, each in intervals.items()}
+        half = {name: each.half_width for name, each in intervals.items() if each and each.known}
         old_half: dict[str, float] = {}
         if known is not None:
             ends = (

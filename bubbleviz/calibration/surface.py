@@ -18,7 +18,7 @@ import numpy as np
 from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.flat_sheet import FlatSheet
+from bubbleviz.calibration.flat_sheet import as_flat_sheet
 from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.segmentation import (
@@ -70,9 +70,9 @@ class Surfaces:
         return facet_error(self.mesh)
 
     @cached_property
-    def sheet(self) -> FlatSheet | None:
-        """An initially flat sheet over the same rim; None where the surface overhangs it."""
-        return FlatSheet.like(self.mesh)
+    def as_flat_sheet(self) -> tuple[np.ndarray, float] | None:
+        """Stress and excess of tension of an initially flat sheet, see `as_flat_sheet`."""
+        return as_flat_sheet(self.mesh)
 
     @property
     def chosen_cap(self) -> Ellipsoid:

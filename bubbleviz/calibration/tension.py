@@ -29,8 +29,14 @@ class Quantity:
     """A value with its 95 % interval, in one SI unit."""
 
     value: float
-    low: float
+    low: float  # NaN, as `high`: of unknown error
     high: float
+    source: str = ""  # what determines it, for reports
+
+    @property
+    def known(self) -> bool:
+        """Whether its error is known."""
+        return bool(np.isfinite(self.half_width))
 
     @property
     def half_width(self) -> float:
@@ -48,9 +54,10 @@ class Quantity:
         return value, low, high
 
     @classmethod
-    def normal(cls, value: float, sigma: float) -> Quantity:
-        half = HALF_95 * sigma
-        return cls(value, value - half, value + half)
+    def normal(cls, value: float, sigma: float | None, source: str = "") -> Quantity:
+        """With a normal error of a standard deviation; None: unknown."""
+        half = np.nan if sigma is None else HALF_95 * sigma
+        return cls(value, value - half, value + half, source)
 
 
 @dataclass(frozen=True)
@@ -73,59 +80,52 @@ class TensionEstimate:
     # γ0 of the mesh by least squares over its nodes instead of the overall balance; smaller where
     # the mean curvature varies, so that no uniform tension fits
     least_squares_n_per_m: float
-    gauge_pressure_pa: float
-    gauge_sigma_pa: float | None  # its standard deviation; None: unknown, γ0's is without it
+    gauge: Quantity  # gauge pressure, Pa; γ0's interval includes its error where that is known
 
     @property
     def per_pascal(self) -> float:
         """Derivative of γ0 by the gauge pressure, m; γ0 is proportional to it."""
-        return self.of_shape.value / self.gauge_pressure_pa
-
-    @property
-    def gauge(self) -> Quantity | None:
-        """Gauge pressure, Pa, whose error is part of γ0's interval; None: of unknown error."""
-        sigma = self.gauge_sigma_pa
-        return None if sigma is None else Quantity.normal(self.gauge_pressure_pa, sigma)
+        return self.of_shape.value / self.gauge.value
 
     @property
     def parts(self) -> dict[str, float]:
         """Standard deviation of γ0 by every source, `gauge_pressure` where it is known, N/m."""
-        if self.gauge_sigma_pa is None:
+        if not self.gauge.known:
             return self.shape_parts
-        return self.shape_parts | {"gauge_pressure": self.per_pascal * self.gauge_sigma_pa}
+        return self.shape_parts | {"gauge_pressure": self.per_pascal * self.gauge.sigma}
 
     @property
     def tension(self) -> Quantity:
         """γ0, N/m, of the chosen surface."""
         shape, other = self.of_shape, HALF_95 * self.parts.get("gauge_pressure", 0.0)
         low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
-        return Quantity(shape.value, shape.value - low, shape.value + high)
+        ends = shape.value - low, shape.value + high
+        return Quantity(shape.value, *ends, "shape and gauge pressure")
 
     def under(self, gauge: Quantity) -> TensionEstimate:
         """The same estimate for another gauge pressure with its interval."""
-        scale, shape = gauge.value / self.gauge_pressure_pa, self.of_shape
+        scale, shape = gauge.value / self.gauge.value, self.of_shape
         return replace(
             self,
             of_shape=Quantity(scale * shape.value, scale * shape.low, scale * shape.high),
             shape_parts={name: scale * part for name, part in self.shape_parts.items()},
             by_surface={name: scale * each for name, each in self.by_surface.items()},
             least_squares_n_per_m=scale * self.least_squares_n_per_m,
-            gauge_pressure_pa=gauge.value,
-            gauge_sigma_pa=gauge.sigma,
+            gauge=gauge,
         )
 
 
 def estimate_tension(
     samples: FrameSamples,
     surfaces: Surfaces,
-    gauge_pressure_pa: float,
-    gauge_sigma_pa: float | None,
+    gauge: Quantity,  # gauge pressure, Pa
     progress: Progress = quiet,
 ) -> TensionEstimate:
     """γ0 by Young–Laplace: P R/2 of a sphere, else by force balance over the chosen surface.
 
     Raises InputError: no tension balances the surface.
     """
+    gauge_pressure_pa = gauge.value
     linear, variance = _linear_free_form(surfaces, gauge_pressure_pa)
     if surfaces.chosen != "free-form":
         linear = _linear_cap(samples, surfaces, gauge_pressure_pa)
@@ -146,7 +146,8 @@ def estimate_tension(
     if surfaces.chosen != "free-form":
         shape.append(_upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other])
     value = now["tension_n_per_m"]
-    excess = 0.0 if surfaces.sheet is None else value * surfaces.sheet.excess
+    sheet = surfaces.as_flat_sheet
+    excess = 0.0 if sheet is None else value * sheet[1]
     parts = {
         "pixels": float(tiles[0]),
         "frames": float(frames[0]),
@@ -165,8 +166,7 @@ def estimate_tension(
         shape_parts=parts,
         by_surface=by_surface,
         least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
-        gauge_pressure_pa=gauge_pressure_pa,
-        gauge_sigma_pa=gauge_sigma_pa,
+        gauge=gauge,
     )
 
 

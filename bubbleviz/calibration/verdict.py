@@ -65,7 +65,7 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
     summary = (
         f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high}"
         f" ({_percent(relative)} either way), at"
-        f" {pressure(found.tension.gauge_pressure_pa)} gauge pressure"
+        f" {pressure(found.tension.gauge.value)} gauge pressure"
     )
     return Verdict(grade, summary, (_surface(found), *warnings), parameters(found, pressure))
 
@@ -91,14 +91,14 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             " pressure and enter it in the sensor file."
         )
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
-    change = tension.gauge_pressure_pa / given - 1.0
+    change = tension.gauge.value / given - 1.0
     if rubber is not None and rubber.gauge_candidates is not None:
         shapes, file = (_interval(each, pressure) for each in rubber.gauge_candidates)
         if rubber.contradicts_file:
             out.append(
                 f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} from "
-                f"{found.file_source}; one of them is wrong. Record the open chamber for ten "
-                "seconds (--vented)."
+                f"{rubber.gauge_candidates[1].source}; one of them is wrong. Record the open "
+                "chamber for ten seconds (--vented)."
             )
     elif abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
@@ -138,16 +138,15 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 
 def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
     """γ0, gauge pressure and λ with their sources, and what would narrow their intervals."""
-    tension, rubber, gauge = found.tension, found.rubber, found.tension.gauge
+    tension, rubber = found.tension, found.rubber
+    gamma, gauge = tension.tension, tension.gauge
     vented = found.vented is not None
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
-    gauge_text = f"{pressure(tension.gauge_pressure_pa)}, error unknown"
-    if gauge is not None:
-        interval = f"{pressure(gauge.low)} to {pressure(gauge.high)}"
-        gauge_text = f"{pressure(gauge.value)}, 95 % interval {interval}"
+    interval = f"95 % interval {pressure(gauge.low)} to {pressure(gauge.high)}"
+    gauge_text = f"{pressure(gauge.value)}, {interval if gauge.known else 'error unknown'}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
         "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
@@ -167,13 +166,13 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     elif rubber.prestretch is None:
         source, narrower = rubber.why_not, _LEVELS
     else:
-        source = found.prestretch_source
+        source = rubber.prestretch.source
         levels = "record levels farther apart, or more (--level)"
         narrower = levels if vented else chamber
     stretch = found.prestretch
     return (
-        Parameter("γ0", _range(tension.tension, 2, " N/m"), "shape and gauge pressure", of_tension),
-        Parameter("gauge pressure", gauge_text, found.gauge_source, chamber_text),
+        Parameter("γ0", _range(gamma, 2, " N/m"), gamma.source, of_tension),
+        Parameter("gauge pressure", gauge_text, gauge.source, chamber_text),
         Parameter(
             "λ", "not determined" if stretch is None else _range(stretch, 3), source, narrower
         ),

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from bubbleviz.calibration.identification import Identification, Vented, rest_gauge
+from bubbleviz.calibration.identification import Identification, open_chamber, rest_gauge
 from bubbleviz.calibration.material import collect_press, with_rubber
 from bubbleviz.calibration.rectification import rectify
 from bubbleviz.calibration.rest_frames import (
@@ -171,14 +171,14 @@ class Workbench:
     ) -> Identification:
         vented = None
         if settings.vented is not None:
-            vented = self._of_other(settings.vented, "vented", Vented.measure)
+            vented = self._of_other(settings.vented, "vented", open_chamber)
         with _errors_name(self.source):
             gauge = rest_gauge(found.samples, self.sensor, vented)
             tension = self._cached(
                 "tension",
                 (found.ranges, settings.nodes, settings.surface, settings.vented),
                 lambda: estimate_tension(
-                    found.samples, found.surfaces, *gauge, part_of(progress, 0.0, 0.5)
+                    found.samples, found.surfaces, gauge, part_of(progress, 0.0, 0.5)
                 ),
             )
         every = [level.result() for level in levels]

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import bubbleviz as bv
-from bubbleviz.calibration import Quantity, rest_gauge
+from bubbleviz.calibration import rest_gauge
 
 
 def identify(source, sensor, frames=None, **settings):
@@ -12,7 +12,7 @@ def identify(source, sensor, frames=None, **settings):
 
 def opened(found, vented):
     """The same with the gas pressure of the open chamber."""
-    gauge = Quantity.normal(*rest_gauge(found.samples, found.given, vented))
+    gauge = rest_gauge(found.samples, found.given, vented)
     return replace(found, tension=found.tension.under(gauge), vented=vented)
 
 

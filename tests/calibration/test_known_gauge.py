@@ -13,7 +13,6 @@ import pytest
 
 from bubbleviz.calibration import (
     Quantity,
-    Vented,
     collect,
     judge,
     rest_gauge,
@@ -83,7 +82,7 @@ def identification(dome, camera=SMALL, nodes=NODES):
 
     def of(**pneumatics):
         sensor = sensor_file(camera, **pneumatics)
-        tension = once.tension.under(Quantity.normal(*rest_gauge(once.samples, sensor)))
+        tension = once.tension.under(rest_gauge(once.samples, sensor))
         return with_rubber(replace(once, given=sensor, tension=tension), levels)
 
     return of
@@ -210,19 +209,19 @@ def rest_samples():
 def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
     """The σ of the file applies at its gauge pressure; elsewhere the difference is added."""
     weather = sensor_file(atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
-    assert rest_gauge(rest_samples, weather)[0] == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
-    assert rest_gauge(rest_samples, weather)[1] == pytest.approx(WEATHER)
+    assert rest_gauge(rest_samples, weather).value == pytest.approx(GAUGE_PA + 700.0, abs=3.0)
+    assert rest_gauge(rest_samples, weather).sigma == pytest.approx(WEATHER)
     known = sensor_file(gauge_sigma_pa=50.0)
-    assert rest_gauge(rest_samples, known)[0] == GAUGE_PA
-    assert rest_gauge(rest_samples, known)[1] == pytest.approx(50.0, abs=0.2)
+    assert rest_gauge(rest_samples, known).value == GAUGE_PA
+    assert rest_gauge(rest_samples, known).sigma == pytest.approx(50.0, abs=0.2)
     moved = sensor_file(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 700.0)
-    assert rest_gauge(rest_samples, moved)[0] == GAUGE_PA
-    assert rest_gauge(rest_samples, moved)[1] == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
+    assert rest_gauge(rest_samples, moved).value == GAUGE_PA
+    assert rest_gauge(rest_samples, moved).sigma == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
     far = sensor_file(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 9000.0)
-    assert rest_gauge(rest_samples, far)[1] == pytest.approx(np.hypot(50.0, WEATHER))
+    assert rest_gauge(rest_samples, far).sigma == pytest.approx(np.hypot(50.0, WEATHER))
     silent = replace(rest_samples, gas_pressure_pa=None)
-    assert rest_gauge(silent, sensor_file())[1] is None
-    assert rest_gauge(silent, known)[1] == 50.0
+    assert not rest_gauge(silent, sensor_file()).known
+    assert rest_gauge(silent, known).sigma == pytest.approx(50.0)
     gauge_only = replace(rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA)
     with pytest.raises(
         InputError, match="not a plausible atmospheric pressure; record the absolute pressure"
@@ -231,10 +230,10 @@ def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
 
 
 def test_open_chamber_replaces_the_gauge_pressure_of_the_file(rest_samples):
-    vented = Vented("vented", ATMOSPHERE_PA - 700.0, 1.0)
-    gauge, sigma = rest_gauge(rest_samples, sensor_file(gauge_sigma_pa=50.0), vented)
-    assert gauge == pytest.approx(GAUGE_PA + 700.0, abs=5.0)
-    assert 1.0 <= sigma < 5.0
+    vented = Quantity.normal(ATMOSPHERE_PA - 700.0, 1.0)
+    gauge = rest_gauge(rest_samples, sensor_file(gauge_sigma_pa=50.0), vented)
+    assert gauge.value == pytest.approx(GAUGE_PA + 700.0, abs=5.0)
+    assert 1.0 <= gauge.sigma < 5.0
 
 
 def test_an_edited_gauge_pressure_drops_its_standard_deviation():

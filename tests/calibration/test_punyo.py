@@ -80,7 +80,7 @@ def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, fo
     gauge, file = result.rubber.gauge_candidates
     assert result.rubber.contradicts_file and file.high < gauge.low
     assert result.rubber.gauge.low <= file.value + 1.0 and gauge.value < result.rubber.gauge.high
-    assert result.gauge_source.startswith("the press in")
+    assert result.tension.gauge.source.startswith("the press in")
     held = collect_press(press, found.samples, found.given).frames
     for parts in (2, 3):
         for frames in np.array_split(held, parts):

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from small_press import record
 
-from bubbleviz.calibration import Vented, collect, with_rubber
+from bubbleviz.calibration import collect, open_chamber, with_rubber
 from bubbleviz.cli.verb_commands import identify as command
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, prestressed
@@ -115,13 +115,13 @@ OFFSET = 400.0
 @pytest.fixture(scope="module")
 def vented():
     shown = ATMOSPHERE_PA + OFFSET + np.random.default_rng(0).normal(0.0, 5.0, 60)
-    return Vented.measure(Chamber(list(shown)))
+    return open_chamber(Chamber(list(shown)))
 
 
 @pytest.fixture(scope="module")
 def found(vented):
     return identify(
-        shifted(1.0), with_air(SHEET.sensor(WIDTH), vented.pressure_pa), range(FRAMES), nodes=NODES
+        shifted(1.0), with_air(SHEET.sensor(WIDTH), vented.value), range(FRAMES), nodes=NODES
     )
 
 
@@ -138,7 +138,7 @@ def level(found, share):
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
     """The zero of the absolute sensor cancels."""
     only = with_rubber(opened(found, vented), [])
-    assert only.gauge_source == "the open-chamber recording vented"
+    assert only.tension.gauge.source == "the open-chamber recording vented"
     assert only.rubber.prestretch is None
     assert only.tension.gauge.low < G < only.tension.gauge.high
     assert only.tension.gauge.half_width < 0.005 * G
@@ -183,7 +183,7 @@ def test_interval_on_an_oval_rim_holds_any_stress_that_balances(vented):
         recorded.pressures_pa = recorded.pressures_pa + OFFSET
         return recorded
 
-    given = with_air(sheet.sensor(224), vented.pressure_pa)
+    given = with_air(sheet.sensor(224), vented.value)
     rest = opened(identify(source(1.0), given, range(60)), vented)
     low, high = (collect(source(share), given, range(60)) for share in (0.85, 1.15))
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + 0.02 * 1.15 * G)
@@ -207,8 +207,8 @@ def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented)
 
 def test_standard_error_of_the_open_chamber_equals_that_of_its_pressure():
     shown = ATMOSPHERE_PA + np.random.default_rng(1).normal(0.0, 5.0, (1000, 60))
-    found = [Vented.measure(Chamber(list(each))) for each in shown]
-    off = np.array([(each.pressure_pa - ATMOSPHERE_PA) / each.sigma_pa for each in found])
+    found = [open_chamber(Chamber(list(each))) for each in shown]
+    off = np.array([(each.value - ATMOSPHERE_PA) / each.sigma for each in found])
     assert np.std(off) == pytest.approx(1.0, abs=0.08)  # three standard errors of a spread
 
 
@@ -226,7 +226,7 @@ def test_levels_that_do_not_determine_the_prestretch(found):
 def test_open_chamber_of_a_sensor_without_noise(found):
     """A coarse pressure sensor shows one value in all frames; the sensor file stays valid."""
     still = replace(found.samples, gas_pressure_pa=np.full(FRAMES, ATMOSPHERE_PA + G))
-    known = opened(replace(found, samples=still), Vented.measure(Chamber([ATMOSPHERE_PA] * 10)))
+    known = opened(replace(found, samples=still), open_chamber(Chamber([ATMOSPHERE_PA] * 10)))
     assert known.sensor.pneumatics.gauge_sigma_pa == 0.1
     assert known.sensor.pneumatics.gauge_pressure_pa == G
 
@@ -235,4 +235,4 @@ def test_open_chamber_needs_gas_pressures(found, vented):
     with pytest.raises(InputError, match="give no open chamber"):
         opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
     with pytest.raises(InputError, match="chamber open"):
-        Vented.measure(Chamber([None] * 30))
+        open_chamber(Chamber([None] * 30))

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Vented, collect_press, summary, with_rubber
+from bubbleviz.calibration import Quantity, collect_press, summary, with_rubber
 from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import (
     EllipsoidalCap,
@@ -119,9 +119,9 @@ def with_press(pressed):
 def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     """The sensor file's atmosphere is 0.9 kPa too much."""
     rubber, stretch = with_press.rubber, truth[3]
-    assert with_press.prestretch_source == "the press in press"
+    assert rubber.prestretch.source == "the press in press"
     file = "the recorded gas pressure minus the atmospheric pressure in the sensor file"
-    assert with_press.gauge_source == f"the press in press; {file}"
+    assert rubber.gauge.source == f"the press in press; {file}"
     assert rubber.gauge.low < G < rubber.gauge.high
     assert rubber.gauge.value == pytest.approx(G, rel=0.05)
     assert rubber.gauge.half_width < 0.13 * G
@@ -159,10 +159,11 @@ def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press
 
 @pytest.mark.long
 def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(truth):
-    vented = Vented("vented", ATMOSPHERE_PA, 2.0)
+    chamber = "the open-chamber recording vented"
+    vented = Quantity.normal(ATMOSPHERE_PA, 2.0, chamber)
     found, held = identified(truth, seed=7, air_pa=ATMOSPHERE_PA)
     known = with_rubber(opened(found, vented), [], press=held)
-    assert known.gauge_source == "the open-chamber recording vented"
+    assert known.tension.gauge.source == chamber
     assert known.tension.gauge.value == pytest.approx(G, rel=0.003)
     rubber = known.rubber
     stretch = rubber.prestretch  # so far stretched that constant tension may explain as much
@@ -170,8 +171,7 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
         stretch.low < truth[3] < stretch.high if stretch else "constant tension" in rubber.why_not
     )
     if stretch:
-        told = "the press in press; the gauge pressure from the open-chamber recording vented"
-        assert known.prestretch_source == told
+        assert stretch.source == f"the press in press; the gauge pressure from {chamber}"
 
 
 def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):

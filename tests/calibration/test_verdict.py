@@ -38,7 +38,7 @@ def ball():
     """Ideal apart from the small number of frames, 20."""
     dome = sphere(0, NOISE, frames=20, scale=0.35)
     found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
-    gas = np.full(20, 1e5 + found.tension.gauge_pressure_pa)
+    gas = np.full(20, 1e5 + found.tension.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
     return with_tension(with_seen_share(replace(found, samples=samples), 1.0), 0.01)
 
@@ -58,7 +58,7 @@ def in_frames(found, frames):
 
 def gauged(found, share):
     given = found.given.pneumatics.gauge_pressure_pa
-    return with_tension(found, 0.01, gauge_pressure_pa=share * given)
+    return with_tension(found, 0.01, gauge=Quantity.normal(share * given, None))
 
 
 def without_gas(found):

@@ -37,7 +37,7 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
     assert estimate.tension.low < TENSION < estimate.tension.high
     assert value == pytest.approx(TENSION, rel=0.01)
     assert panel.verdict.isVisible() and f"{value:.1f} N/m" in panel.verdict.text()
-    gauge = estimate.gauge_pressure_pa
+    gauge = estimate.gauge.value
     for system, text, more in (
         ("psi", f"{gauge / 6894.757:.4f} psi", "0.0145 psi more"),
         ("kPa", f"{gauge:.0f} Pa", "100 Pa more"),

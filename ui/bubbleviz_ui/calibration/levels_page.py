@@ -109,10 +109,11 @@ class RectificationPage(Page):
             stretch = "{}, 95 % interval {} … {}".format(*rubber.prestretch.texts(3))
         self.numbers.set("λ", stretch)
         gauge = found.tension.gauge if found.complete else None
-        text = None if gauge is None else pressure.with_interval(gauge.value, gauge.half_width)
+        text = None
+        if gauge is not None and gauge.known:
+            text = pressure.with_interval(gauge.value, gauge.half_width)
         self.numbers.set("gauge pressure", text)
-        rests_on = found.gauge_source if found.complete else None
-        self.numbers.set("gauge pressure from", rests_on)
+        self.numbers.set("gauge pressure from", None if gauge is None else gauge.source)
 
     def _choose_vented(self) -> None:
         path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")

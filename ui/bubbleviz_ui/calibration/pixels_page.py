@@ -293,7 +293,7 @@ class TensionPage(Page):
         for name, size in estimate.dimensions.items():
             text = units.length.with_interval(size.value, size.half_width)
             show(name.removesuffix("_m").replace("_", " "), text)
-        show("gauge pressure", units.gas_pressure.text(estimate.gauge_pressure_pa))
+        show("gauge pressure", units.gas_pressure.text(estimate.gauge.value))
         more = unit.text(100.0 * estimate.per_pascal, signed=True)
         show("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
         for name, each in estimate.by_surface.items():
