@@ -11,10 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import sparse
-from scipy.special import ndtri, stdtrit
 
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import DepthStatistics, mean_inflation
+from bubbleviz.recordings import DepthStatistics, mean_inflation, student_factor
 
 _MIN_TILES = 30  # fewer determine their spread poorly
 _MIN_BLOCKS = 5  # of frames in the recording, however long the correlation
@@ -107,8 +106,3 @@ def _scatter(scores: np.ndarray) -> np.ndarray:
     centred = scores - scores.mean(axis=0)
     product: np.ndarray = centred.T @ centred
     return product
-
-
-def student_factor(freedom: int) -> float:
-    """Ratio of Student's 95 % interval to the normal one."""
-    return float(stdtrit(freedom, 0.975) / ndtri(0.975))

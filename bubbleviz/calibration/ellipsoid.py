@@ -104,14 +104,14 @@ def fit_sphere(points: np.ndarray) -> Ellipsoid:
     return _fit(points, Ellipsoid(centre, np.full(3, radius)), sphere=True)
 
 
-def fit_ellipsoid(points: np.ndarray) -> Ellipsoid:
-    """Robust fit of an ellipsoid to points (k, 3) in m; outliers have no weight.
+def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellipsoid:
+    """Robust fit of an ellipsoid to points (k, 3) in m, from their sphere; outliers have no weight.
 
     Raises InputError: too few points, or no ellipsoid fits them (a flat membrane, depth in a wrong
     unit).
     """
     points = _finite_points(points)
-    return _fit(points, fit_sphere(_subsample(points)), sphere=False)
+    return _fit(points, sphere or fit_sphere(_subsample(points)), sphere=False)
 
 
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:

@@ -25,7 +25,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.calibration.cluster_covariance import cluster_covariances, student_factor
+from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.camera import RangeObserver, ShapeRanges
@@ -47,6 +47,7 @@ from bubbleviz.recordings import (
     DepthStatistics,
     error_of_mean,
     robust_sigma,
+    student_factor,
     tukey_loss,
     tukey_slopes,
     tukey_weights,
@@ -353,13 +354,21 @@ class RubberProblem:
         root, data = self._root / (scale or self._scale(vector)), self._root.size
         priors, prior_values = self._priors(gauge_sigma)
 
-        def residuals(v: np.ndarray) -> np.ndarray:
+        # In q and log G the curved valley of shapes that fit almost as well is straight.
+        def of(u: np.ndarray) -> np.ndarray:
+            return np.concatenate([u[:1], np.exp(u[1:2]), u[2:]])
+
+        def residuals(u: np.ndarray) -> np.ndarray:
+            v = of(u)
             z = np.nan_to_num(self._residuals(v) * root, nan=_OUTLIER, posinf=np.inf)
             return np.concatenate([z.ravel(), self._smooth @ v, priors @ v - prior_values])
 
-        def jacobian(v: np.ndarray) -> np.ndarray:
+        def jacobian(u: np.ndarray) -> np.ndarray:
+            v = of(u)
             rows = -np.nan_to_num(root).reshape(-1, 1) * self._slopes(v)[0]
-            return np.concatenate([rows, self._smooth, priors])
+            slopes = np.concatenate([rows, self._smooth, priors])
+            slopes[:, 1] *= v[1]
+            return slopes
 
         def loss(squares: np.ndarray) -> np.ndarray:
             rho = np.stack([squares, np.ones_like(squares), np.zeros_like(squares)])
@@ -369,15 +378,16 @@ class RubberProblem:
             return rho
 
         low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
-        low[:2], high[0] = (SMALLEST_Q, _MIN_GAUGE), LARGEST_Q
+        low[:2], high[0] = (SMALLEST_Q, np.log(_MIN_GAUGE)), LARGEST_Q
         start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
+        start[1] = np.log(start[1])
         x_scale[:2] = 0.1
-        found: np.ndarray = least_squares(
+        found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
             loss=loss, xtol=_TOLERANCE, ftol=_TOLERANCE,  # type: ignore[arg-type]  # loss's name in stubs
         ).x  # fmt: skip
-        return found
+        return of(found)
 
     # -- errors ---------------------------------------------------------------------------------
 

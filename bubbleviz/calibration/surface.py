@@ -64,11 +64,6 @@ class Surfaces:
     visible_share: float  # of the dome's area
     motion_m: float  # largest motion of the dome between frames beyond noise, m
 
-    @property
-    def facet_error_m(self) -> float:
-        """Typical distance of the mesh's flat facets from the surface, m."""
-        return facet_error(self.mesh)
-
     @cached_property
     def as_flat_sheet(self) -> tuple[np.ndarray, float] | None:
         """Stress and excess of tension of an initially flat sheet, see `as_flat_sheet`."""
@@ -109,7 +104,8 @@ def fit_surfaces(
     given = samples.camera
     points = given.points_at(statistics.range_m, np.flatnonzero(usable))
     edge = given.points_at(statistics.range_m, np.flatnonzero(outer_edge(membrane)))
-    caps, camera = _centred((fit_sphere(points), fit_ellipsoid(points)), given, 1)
+    sphere = fit_sphere(points)
+    caps, camera = _centred((sphere, fit_ellipsoid(points, sphere)), given, 1)
     start = mesh_cap(caps[1].cap_above_rim, nodes)
     side = tile_side(int(usable.sum()), statistics.correlation_length_px)
     free_form = fit_free_form(

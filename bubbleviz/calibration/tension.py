@@ -11,6 +11,7 @@ from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import SurfaceName, Surfaces
+from bubbleviz.camera import facet_error
 from bubbleviz.membrane import (
     balance_gradient,
     balance_tension,
@@ -136,7 +137,7 @@ def estimate_tension(
         "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
         "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
     }
-    facets = surfaces.facet_error_m / np.sqrt(3.0)  # uniform distribution over ± that
+    facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     together = max(1.0, samples.statistics.correlated_pixels)  # they count as one pixel
     shape = [

@@ -27,6 +27,7 @@ from .depth_statistics import (
     robust_sigma as robust_sigma,
     spatial_correlation as spatial_correlation,
     stack_depth as stack_depth,
+    student_factor as student_factor,
     temporal_correlation as temporal_correlation,
     tukey_loss as tukey_loss,
     tukey_slopes as tukey_slopes,

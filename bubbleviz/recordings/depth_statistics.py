@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from bubbleviz.errors import InputError
 from bubbleviz.recordings.frame import Frame
@@ -35,8 +36,12 @@ def temporal_correlation(
     if not products.any():
         return np.ones(1)
     lags = range(max(1, frames // 2))
-    measured = np.array([np.mean(np.diagonal(products, k)) for k in lags])
-    measured /= measured[0]
+    return _unbiased(np.array([np.mean(np.diagonal(products, k)) for k in lags]), frames)
+
+
+def _unbiased(covariance: np.ndarray, frames: int) -> np.ndarray:
+    """Correlation at lags 0, 1, … up to its first zero, from covariances about the frames' mean."""
+    measured = covariance / covariance[0]
     # Cut before correcting: the corrected tail fluctuates about zero and has an arbitrary sum.
     measured = measured[: _first_not_positive(measured)]
     missing = mean_inflation(measured) / frames
@@ -52,14 +57,23 @@ def mean_inflation(rho: np.ndarray) -> float:
 
 
 def error_of_mean(series: np.ndarray) -> float:
-    """Standard error of the mean of a series (F,) whose values are correlated."""
-    centred = series - series.mean()
-    power = float(np.mean(centred**2))
-    if power == 0.0:
+    """Standard error of the mean of a series (F,) whose values are correlated.
+
+    Widened by Student's quantile over the normal one for its effective number of values, so that
+    1.96 of it are a 95 % interval.
+    """
+    centred, frames = series - series.mean(), len(series)
+    if not centred.any():
         return 0.0
-    lags = range(max(1, len(series) // 2))
-    rho = np.array([np.mean(centred[lag:] * centred[: len(series) - lag]) / power for lag in lags])
-    return float(np.sqrt(power * mean_inflation(rho) / len(series)))
+    lags = range(max(1, frames // 2))
+    covariance = np.array([np.mean(centred[k:] * centred[: frames - k]) for k in lags])
+    effective = max(2.0, frames / mean_inflation(_unbiased(covariance, frames)))
+    return float(np.sqrt(covariance[0] / (effective - 1.0))) * student_factor(effective - 1.0)
+
+
+def student_factor(freedom: float) -> float:
+    """Ratio of Student's 95 % interval to the normal one."""
+    return float(stdtrit(freedom, 0.975) / ndtri(0.975))
 
 
 def spatial_correlation(

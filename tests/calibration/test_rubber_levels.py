@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.signal import lfilter
 from small_press import record
 
 from bubbleviz.calibration import collect, open_chamber, with_rubber
@@ -205,11 +206,13 @@ def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented)
     assert crossed.low < SHEET.prestretch < crossed.high
 
 
-def test_standard_error_of_the_open_chamber_equals_that_of_its_pressure():
-    shown = ATMOSPHERE_PA + np.random.default_rng(1).normal(0.0, 5.0, (1000, 60))
-    found = [open_chamber(Chamber(list(each))) for each in shown]
-    off = np.array([(each.value - ATMOSPHERE_PA) / each.sigma for each in found])
-    assert np.std(off) == pytest.approx(1.0, abs=0.08)  # three standard errors of a spread
+@pytest.mark.parametrize(("readings", "correlation", "least"), [(10, 0.0, 0.94), (30, 0.5, 0.9)])
+def test_interval_of_the_open_chamber_holds_its_pressure(readings, correlation, least):
+    """In few readings, too, and where a filter of the sensor makes neighbours alike."""
+    white = np.random.default_rng(1).normal(0.0, 5.0, (1000, readings + 50))
+    shown = lfilter([1.0], [1.0, -correlation], white)[:, 50:]
+    found = [open_chamber(Chamber(list(ATMOSPHERE_PA + each))) for each in shown]
+    assert least < np.mean([each.low < ATMOSPHERE_PA < each.high for each in found]) < 0.98
 
 
 def test_levels_that_do_not_determine_the_prestretch(found):
