@@ -126,16 +126,15 @@ def estimate_tension(
 
     Raises InputError: no tension balances the surface.
     """
-    gauge_pressure_pa = gauge.value
-    linear, variance = _linear_free_form(surfaces, gauge_pressure_pa)
+    linear, variance = _linear_free_form(surfaces)
     if surfaces.chosen != "free-form":
-        linear = _linear_cap(samples, surfaces, gauge_pressure_pa)
+        linear = _linear_cap(samples, surfaces)
     now, (tiles, frames) = linear[0], _errors(samples, linear, progress)
     sphere, cap, gas = surfaces.sphere, surfaces.cap, samples.gas_pressure_pa
     by_surface: dict[SurfaceName, float] = {
-        "sphere": 0.5 * gauge_pressure_pa * float(sphere.semi_axes_m[0]),
-        "ellipsoid": _cap_numbers(cap, gauge_pressure_pa)(cap)["tension_n_per_m"],
-        "free-form": balance_tension(surfaces.free_form.mesh, gauge_pressure_pa),
+        "sphere": 0.5 * float(sphere.semi_axes_m[0]),
+        "ellipsoid": _cap_numbers(cap)(cap)["tension_m"],
+        "free-form": balance_tension(surfaces.free_form.mesh, 1.0),
     }
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
@@ -145,20 +144,20 @@ def estimate_tension(
         by_surface["free-form"] - by_surface[other],
     ]
     if surfaces.chosen != "free-form":
-        shape.append(_upper_half(samples, surfaces, gauge_pressure_pa) - by_surface[other])
-    value = now["tension_n_per_m"]
+        shape.append(_upper_half(samples, surfaces) - by_surface[other])
+    value = now["tension_m"]
     sheet = surfaces.as_flat_sheet
     excess = 0.0 if sheet is None else value * sheet[1]
     parts = {
         "pixels": float(tiles[0]),
         "frames": float(frames[0]),
-        "gas_pressure": value / gauge_pressure_pa * (0.0 if gas is None else error_of_mean(gas)),
-        "facets": 0.5 * gauge_pressure_pa * facets,
+        "gas_pressure": value * (0.0 if gas is None else error_of_mean(gas)) / gauge.value,
+        "facets": 0.5 * facets,
         "surface": float(np.linalg.norm(shape)),
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
-    return TensionEstimate(
+    under_1_pa = TensionEstimate(
         of_shape=Quantity(value, own.low, own.high),
         dimensions={
             name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))
@@ -166,9 +165,10 @@ def estimate_tension(
         },
         shape_parts=parts,
         by_surface=by_surface,
-        least_squares_n_per_m=least_squares_tension(surfaces.mesh, gauge_pressure_pa),
-        gauge=gauge,
+        least_squares_n_per_m=least_squares_tension(surfaces.mesh, 1.0),
+        gauge=Quantity.normal(1.0, 0.0),
     )
+    return under_1_pa.under(gauge)
 
 
 def _errors(samples: FrameSamples, linear: Linear, progress: Progress) -> list[np.ndarray]:
@@ -193,12 +193,13 @@ def _errors(samples: FrameSamples, linear: Linear, progress: Progress) -> list[n
 
 
 Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]
-"""Quantities, pixels (P,), influence (P, Q), residual range (P,) and count of fitted parameters."""
+"""Quantities (γ0 under 1 Pa first), pixels (P,), influence (P, Q), residual range (P,) and count of
+fitted parameters."""
 
 
-def _linear_cap(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> Linear:
+def _linear_cap(samples: FrameSamples, surfaces: Surfaces) -> Linear:
     own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
-    numbers = _cap_numbers(own, gauge_pressure_pa, sphere=sphere)
+    numbers = _cap_numbers(own, sphere=sphere)
     pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     distance, J = own.distance(points), own.derivatives(points, sphere=sphere)
@@ -210,27 +211,27 @@ def _linear_cap(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: fl
     return numbers(own), pixels, influence, distance / facing, rows.shape[1]
 
 
-def _linear_free_form(surfaces: Surfaces, gauge_pressure_pa: float) -> tuple[Linear, float]:
-    """With the variance of γ0, N²/m², per variance of a pixel."""
+def _linear_free_form(surfaces: Surfaces) -> tuple[Linear, float]:
+    """With the variance of γ0 under 1 Pa per variance of a pixel."""
     free_form, mesh = surfaces.free_form, surfaces.free_form.mesh
     arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
     apex = int(np.argmax(mesh.nodes[:, 2]))
     gradients = np.zeros((len(mesh.nodes), 2))
-    gradients[:, 0] = balance_gradient(mesh, gauge_pressure_pa, arms)
+    gradients[:, 0] = balance_gradient(mesh, 1.0, arms)
     gradients[apex, 1] = arms[apex, 2]
     pixels = free_form.pixels
     influence, variances = free_form.influence(gradients)
     influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
     now = {
-        "tension_n_per_m": balance_tension(mesh, gauge_pressure_pa),
+        "tension_m": balance_tension(mesh, 1.0),
         "height_m": float(mesh.nodes[apex, 2]),
     }
     residual_m = np.nan_to_num(free_form.residual_m.ravel()[pixels])
     return (now, pixels, influence, residual_m, 2), float(variances[0])
 
 
-def _upper_half(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: float) -> float:
-    """γ0, N/m, of the cap fitted to the upper half of the points alone.
+def _upper_half(samples: FrameSamples, surfaces: Surfaces) -> float:
+    """γ0 under 1 Pa, m, of the cap fitted to the upper half of the points alone.
 
     On a sphere or an ellipsoid this equals γ0 of the full fit, up to noise. An inflated sheet
     differs from either by micrometres, with an error of γ0 of about the difference of the two fits.
@@ -239,14 +240,14 @@ def _upper_half(samples: FrameSamples, surfaces: Surfaces, gauge_pressure_pa: fl
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
     refit = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper)
-    return _cap_numbers(surfaces.chosen_cap, gauge_pressure_pa)(refit)["tension_n_per_m"]
+    return _cap_numbers(surfaces.chosen_cap)(refit)["tension_m"]
 
 
 Numbers = Callable[[Ellipsoid], dict[str, float]]
 
 
-def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, *, sphere: bool = False) -> Numbers:
-    """Function of caps close to a given one that returns γ0, then the dimensions."""
+def _cap_numbers(at: Ellipsoid, *, sphere: bool = False) -> Numbers:
+    """Function of caps close to a given one that returns γ0 under 1 Pa, then the dimensions."""
     mesh = at.fine_mesh
     centres, areas = mesh.nodes[mesh.triangles].mean(axis=1), mesh.facet_areas
 
@@ -255,8 +256,7 @@ def _cap_numbers(at: Ellipsoid, gauge_pressure_pa: float, *, sphere: bool = Fals
         at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
         found = {
             # by force balance
-            "tension_n_per_m": gauge_pressure_pa
-            * float(areas.sum() / (areas @ cap.curvature(centres))),
+            "tension_m": float(areas.sum() / (areas @ cap.curvature(centres))),
             "height_m": float(cap.centre_m[2]) + z,
         }
         if sphere:
