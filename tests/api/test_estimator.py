@@ -10,7 +10,6 @@ from small_press import HEIGHTS
 import bubbleviz as bv
 
 SHAPE = (43, 56)
-TIMES = ("solve_ms", "total_ms")
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from bubbleviz.calibration import write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import balance_tension, build_mesh, mesh_cap, spherical_cap
+from bubbleviz.membrane import balance_tension, build_mesh
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
 
@@ -97,12 +97,6 @@ def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path
     assert 0.99 < (whole**2 - by_gauge**2) / (2.0 * by_shape.half_width) ** 2 < 2.01
 
 
-def test_force_balance_is_exact_for_a_sphere_and_stable_on_bumps():
-    mesh = mesh_cap(spherical_cap(0.075, 0.05), 1500)
-    radius = (0.075**2 + 0.05**2) / 0.1
-    assert balance_tension(mesh, 2585.5) == pytest.approx(2585.5 * radius / 2.0, rel=0.01)
-
-
 def test_written_sensor_reads_back(found, tmp_path):
     write_sensor(found, tmp_path / "mine.toml")
     sensor = load_sensor(tmp_path / "mine.toml")
@@ -117,8 +111,6 @@ def test_written_sensor_reads_back(found, tmp_path):
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_bad_ranges_are_refused(twin):
-    with pytest.raises(InputError, match="at least 5"):
-        identify(twin, nominal_sensor(), range(3))
+def test_frames_beyond_the_recording_are_refused(twin):
     with pytest.raises(InputError, match="not within its"):
         identify(twin, nominal_sensor(), range(90, 99))

@@ -26,9 +26,12 @@ def frame(pressure):
 
 def test_median_at_rest_is_subtracted_from_every_pressure():
     pressures = REFERENCE + 250.0 + np.arange(ZERO_FRAMES) ** 2
-    assert learned(pressures[:-1]).applied(frame(REFERENCE)).gas_pressure_pa == REFERENCE
+    unknown = learned(pressures[:-1]).applied(frame(REFERENCE))
+    assert unknown.gas_pressure_pa == REFERENCE
+    assert 1.96 * unknown.gas_sigma_pa == pytest.approx(2e3)  # of the weather
     zero = learned(pressures)
     assert not zero.waiting
+    assert zero.applied(frame(REFERENCE)).gas_sigma_pa == 0.0
     assert zero.rest_pa == np.median(pressures)
     shifted = zero.applied(frame(np.median(pressures) + 30.0)).gas_pressure_pa
     assert shifted == pytest.approx(REFERENCE + 30.0)
@@ -51,6 +54,9 @@ def test_an_interrupted_contact_free_run_starts_again():
     assert not zero.wants_next()
     zero.zero_now()
     assert zero.waiting and zero.offset_pa == pytest.approx(-70.0)  # till there is another
+    for _ in range(ZERO_FRAMES):
+        zero.learn(REFERENCE - 90.0, contact_free=True)
+    assert zero.offset_pa == pytest.approx(-90.0)
 
 
 def test_another_sensor_file_keeps_the_measured_rest_and_waits_again():

@@ -60,10 +60,6 @@ def test_false_return_is_not_a_dent(twin):
     assert not found.pixels.mask[67:74, 75:82].any()
 
 
-def test_too_few_frames(twin):
-    refused(twin, "at least 5", range(4))
-
-
 @pytest.mark.parametrize("gauge", [0.0, -200.0])
 def test_no_gauge_pressure(twin, gauge):
     refused(replace(twin, pressures=[ATMOSPHERE + gauge] * len(twin)), "not above the atmospheric")

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.errors import InputError
 from bubbleviz.membrane import RubberForward
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import HeldFrames, Recording
@@ -74,12 +73,6 @@ def test_interval_covers_the_force_without_contact_free_frames(twin, usual, shif
         size = np.linalg.norm(estimate.force_n)
         assert abs(size - np.linalg.norm(before.force_n)) < estimate.force_half_width_n
         assert size == pytest.approx(np.linalg.norm(force), rel=0.05)
-
-
-def test_option_to_use_the_recorded_gas_pressure(twin):
-    sensor, frames, _ = twin
-    with pytest.raises(InputError, match="no frame looks like the membrane"):
-        bv.estimate(shifted(frames, 1000.0), sensor, zero_gas=False)
 
 
 def test_constant_contact_is_not_contact_free(twin):

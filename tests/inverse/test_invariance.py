@@ -44,8 +44,7 @@ def variants(model):
 
 
 QUIET, LOUD = DepthNoise(absolute_m=1e-4), DepthNoise(relative=0.01)
-SHORT = ("dome λ 1.2", "sphere", 0.2, QUIET)
-FULL = [
+PRESSES = [
     (name, obj, depth, noise)
     for name in ("sensor", "dome λ 1.2", "oval sheet λ 1.15")
     for obj in ("sphere", "puck")
@@ -54,35 +53,31 @@ FULL = [
 ]
 
 
+@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
 @pytest.mark.parametrize(
     ("name", "obj", "share", "noise"),
-    [SHORT, *(pytest.param(*case, marks=pytest.mark.long) for case in FULL)],
+    PRESSES,
     ids=lambda value: noise_name(value) if isinstance(value, DepthNoise) else str(value),
 )
 def test_invariance_on_simulated_rubber(name, obj, share, noise):
-    short = (name, obj, share, noise) == SHORT
     make = membranes.specimen if "sheet" in name else specimen
-    grid = Grid(truth_nodes=900 if short else 2_600)
-    own = make(name, load_sensor("pico_flexx_75mm"), grid)
-    bank, told = TruthBank(own.presses, 7), own.model(noise)
-    if short:
-        told = SensorModel.of(told.sensor, nodes=400)
-    depth_m = share * float(bank.mesh.nodes[:, 2].max())
+    own = make(name, load_sensor("pico_flexx_75mm"), Grid(truth_nodes=2_600))
+    bank = TruthBank(own.presses, 7)
     try:
-        sighting = bank.simulate(Press(obj, depth_m, False))
-    except SolveError as error:  # deep pucks; never the short case
-        assert not short
+        sighting = bank.simulate(Press(obj, share * float(bank.mesh.nodes[:, 2].max()), False))
+    except SolveError as error:  # deep pucks
         pytest.skip(str(error))
     frame = bank.frame(sighting, noise, 0)
     force = {
-        changed: force_of(each.process(frame, PATCH)) for changed, each in variants(told).items()
+        changed: force_of(each.process(frame, PATCH))
+        for changed, each in variants(own.model(noise)).items()
     }
     usual = force.pop("")
     assert set(force) == {MESH, RIM}
     assert all(0.0 < abs(each / usual - 1.0) < LARGEST_CHANGE for each in force.values())
 
 
-@pytest.mark.long  # in short: on simulated rubber, above
+@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
 def test_invariance_on_the_real_press(punyo_press):
     sensor = load_sensor("punyo_oval_d405")
     with Recording(punyo_press) as recording:

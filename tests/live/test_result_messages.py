@@ -1,6 +1,5 @@
 """Results as ROS 2 messages, over Zenoh and into a recording; the zero of the gas pressure."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,15 +11,12 @@ from wire import STORE
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
 from bubbleviz.api.estimator import PRODUCTS
-from bubbleviz.api.watching import Watcher
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
     DIAGNOSTICS,
     POSE,
     RESULT_TOPICS,
     Counters,
-    LiveSource,
-    LiveStream,
     ResultMessages,
     SessionOptions,
     Status,
@@ -29,11 +25,9 @@ from bubbleviz.live import (
     status_of,
 )
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame, FrameMessages
 from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, SyntheticSource, default_path
-from bubbleviz.zeros import ZERO_FRAMES, PressureZero
 
 MARKER = STORE.types["visualization_msgs/msg/Marker"]
 
@@ -302,82 +296,6 @@ def test_only_subscribed_topics_are_made(pipeline, pressed, eventually):
 # -- the zero of the gas pressure ---------------------------------------------------------------
 
 
-def test_zero_is_learned_in_one_contact_free_run():
-    zero = PressureZero(103_900.0)
-    frame = Frame(0, 0.0, np.zeros((2, 2)), gas_pressure_pa=102_400.0)
-    unknown = zero.applied(frame)
-    assert unknown.gas_pressure_pa == 102_400.0
-    assert 1.96 * unknown.gas_sigma_pa == pytest.approx(2e3)
-    for _ in range(ZERO_FRAMES - 1):
-        zero.learn(102_400.0, contact_free=True)
-    zero.learn(103_000.0, contact_free=False)  # touched: begin again
-    for k in range(ZERO_FRAMES - 1):
-        zero.learn(102_400.0 + (k % 3), contact_free=True)
-    assert zero.offset_pa is None
-    zero.learn(102_400.0, contact_free=True)
-    assert zero.offset_pa == pytest.approx(-1499.0)
-    assert zero.applied(frame).gas_pressure_pa == pytest.approx(103_899.0)
-    assert zero.applied(frame).gas_sigma_pa == 0.0
-    zero.learn(999.0, contact_free=True)  # not asked any more
-    assert zero.offset_pa == pytest.approx(-1499.0)
-    zero.zero_now()
-    assert zero.applied(frame).gas_pressure_pa == pytest.approx(103_899.0)  # till the new one
-    for _ in range(ZERO_FRAMES):
-        zero.learn(102_300.0, contact_free=True)
-    assert zero.offset_pa == pytest.approx(-1600.0)
-    unmeasured = replace(frame, gas_pressure_pa=None)
-    assert zero.applied(unmeasured) is unmeasured
-
-
-class Weather(LiveSource):
-    """The simulated sensor at an atmospheric pressure lower by 800 Pa; sends frames on demand."""
-
-    def __init__(self, simulation):
-        super().__init__("weather")
-        self.link = "up"
-        self.simulation, self.messages, self.sent = simulation, FrameMessages(), 0
-
-    def start(self, deliver):
-        self.deliver = deliver
-
-    def send(self):
-        now = time.time_ns()
-        frame = self.simulation[self.sent % len(self.simulation)]
-        for message in self.messages.of(frame, now):
-            if message.type.endswith("FluidPressure"):
-                content = STORE.deserialize_cdr(message.payload, message.type)
-                content.fluid_pressure -= 800.0
-                payload = bytes(STORE.serialize_cdr(content, message.type))
-                message = message._replace(payload=payload)
-            self.deliver(message._replace(arrival_ns=now, sequence=self.sent))
-        self.sent += 1
-
-
-def test_weather_does_not_appear_as_contact(small_sensor):
-    """Solved live on another day, with the zero and without."""
-    worst, simulation = {}, press(small_sensor, 90)
-    frames = [simulation[k] for k in (*range(11), *range(13, 84, 4), *range(84, 90))]
-    # the zero is known once the frames at rest, last and first of all, are sent in a row
-    for zeroed, count in ((False, len(frames)), (True, 3 * len(frames))):
-        source = Weather(frames)
-        with LiveStream(source, small_sensor) as stream:
-            solver = bv.Estimator(small_sensor, zero_gas=zeroed).solver
-            watcher, zero = Watcher(stream, solver), solver.zeros.gas
-            statuses = []
-            for _ in range(count):
-                source.send()
-                result = watcher.step(60.0)
-                if zero is None or zero.offset_pa is not None:
-                    statuses.append(result.estimate.status)
-        worst[zeroed] = {s: statuses.count(s) for s in set(statuses)}
-        if zero is not None:
-            assert zero.offset_pa == pytest.approx(-800.0, abs=1.0)
-    assert worst[True].get("implausible", 0) == 0
-    assert worst[True]["ok"] > 10
-    assert worst[True]["no_contact"] > 5
-    assert worst[False].get("implausible", 0) > 20
-
-
 def test_recording_is_zeroed_by_default(small_sensor, small_sensor_file, tmp_path):
     """A recording of a day with 800 Pa less: `--no-zero-gas` believes it."""
     source = press(small_sensor, 200)
@@ -394,27 +312,14 @@ def test_recording_is_zeroed_by_default(small_sensor, small_sensor_file, tmp_pat
         assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
 
 
-def test_message_without_a_zero(small_sensor_file, small_sensor, tmp_path):
-    """Without gas pressure there is none; without contact-free frames it is the weather's."""
+def test_recording_without_gas_pressure_has_no_zero(small_sensor_file, small_sensor, tmp_path):
     source = press(small_sensor, 200)
-    for name, frames, measured, says in (
-        ("none", range(3), False, None),
-        (
-            "held",
-            range(80, 84),
-            True,
-            "contact-free frames in a row, so within ±2 kPa by the weather",
-        ),
-    ):
-        chosen = [source[k] for k in frames]
-        if not measured:
-            chosen = [replace(frame, gas_pressure_pa=None) for frame in chosen]
-        path = record(tmp_path / f"{name}.mcap", chosen)
-        run = bv.estimate(bv.open(path), small_sensor_file, out=tmp_path / f"{name}.npz")
-        zero = run.context["gas_zero"]
-        assert zero is None if says is None else says in zero
-        with np.load(tmp_path / f"{name}.npz") as arrays:
-            assert "gas_pressure_offset_pa" not in arrays
+    frames = (replace(source[k], gas_pressure_pa=None) for k in range(3))
+    path = record(tmp_path / "none.mcap", frames)
+    run = bv.estimate(bv.open(path), small_sensor_file, out=tmp_path / "none.npz")
+    assert run.context["gas_zero"] is None
+    with np.load(tmp_path / "none.npz") as arrays:
+        assert "gas_pressure_offset_pa" not in arrays
 
 
 @pytest.mark.parametrize(
@@ -431,22 +336,6 @@ def test_message_without_a_zero(small_sensor_file, small_sensor, tmp_path):
 )
 def test_a_source_that_stopped_is_stale_within_a_second(link, silent, state):
     assert status_of(link, silent).state == state
-
-
-def test_pending_zero_checks_few_frames_during_contact():
-    zero, asked = PressureZero(1e5), 0
-    for _ in range(60):
-        if zero.wants_next():
-            asked += 1
-            zero.learn(1e5, contact_free=False)
-    assert asked == 10
-    rested = 0
-    while zero.waiting:
-        rested += 1
-        if zero.wants_next():
-            zero.learn(1e5 + 20.0, contact_free=True)
-    assert zero.offset_pa == 20.0 and rested < 21
-    assert not zero.wants_next()
 
 
 def test_membrane_shows_the_residual_around_each_node(pipeline, pressed):
