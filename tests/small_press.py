@@ -11,17 +11,18 @@ HEIGHTS = (0.060, 0.044, 0.042, 0.042, 0.060)
 """Of the cylinder's flat end above the rim: clear of the dome (50 mm), pressed in, and clear."""
 
 
+def changed(sensor, **sections):
+    """The sensor with other values in its sections: `changed(sensor, membrane={"nodes": 300})`."""
+    values = {name: getattr(sensor, name).model_copy(update=new) for name, new in sections.items()}
+    return sensor.model_copy(update=values)
+
+
 def write_small_sensor(path):
     """The pico flexx preset with a coarse mesh and a quarter of the pixels a side."""
     sensor = load_sensor("pico_flexx_75mm")
     own = sensor.camera
     camera = {"width": 56, "height": 43, "fx": own.fx / 4, "fy": own.fy / 4, "cx": 27.5, "cy": 21.0}
-    small = sensor.model_copy(
-        update={
-            "membrane": sensor.membrane.model_copy(update={"nodes": 200}),
-            "camera": own.model_copy(update=camera),
-        }
-    )
+    small = changed(sensor, membrane={"nodes": 200}, camera=camera)
     path.write_text(sensor_to_toml(small), encoding="utf-8")
     return path
 

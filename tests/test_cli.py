@@ -20,18 +20,6 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 from tests.program import output_of, refusal, run
 
-HEAVY = (
-    "numpy",
-    "scipy",
-    "pydantic",
-    "osqp",
-    "open3d",
-    "pyvista",
-    "vtkmodules",
-    "PySide6",
-    "rosbags",
-)
-
 
 @pytest.fixture
 def recording(tmp_path):
@@ -40,17 +28,6 @@ def recording(tmp_path):
         for k in range(3):
             writer.write(Frame(k, k / 30.0, np.full((3, 4), 0.1, dtype=np.float32)))
     return path
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; from bubbleviz.cli.command_line import main\n"
-        "main(['--help'], standalone_mode=False); "
-        f"print('LOADED', [m for m in {HEAVY!r} if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "Commands:" in done.stdout
-    assert done.stdout.rstrip().endswith("LOADED []")
 
 
 def test_every_command_has_help():
@@ -103,26 +80,6 @@ def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
     assert "[realsense]" in machine["cameras"]
     lines = output_of("doctor").splitlines()
     assert ["numpy", np.__version__] in [line.split() for line in lines]
-
-
-def loaded_after_help(which):
-    """Heavy packages and modules of the window that are imported by the help of some commands."""
-    code = (
-        "import click, sys; from bubbleviz.cli.command_line import main\n"
-        f"for name in {which}: main([name, '--help'], standalone_mode=False)\n"
-        f"print('LOADED', [m for m in {(*HEAVY, 'bubbleviz_ui')!r} if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout.splitlines()[-1]
-
-
-def test_the_window_is_not_imported_by_commands_without_one():
-    assert loaded_after_help("main.commands") == "LOADED []"
-
-
-def test_the_windows_commands_have_help_without_qt():
-    every = "main.list_commands(click.Context(main))"
-    assert loaded_after_help(every) == "LOADED ['bubbleviz_ui']"
 
 
 INSTALL = '[window]"'

@@ -1,4 +1,4 @@
-"""Modules that other packages import needlessly are left out until they are used."""
+"""What is not used is not imported, nor what other packages import needlessly."""
 
 import importlib.util
 import subprocess
@@ -14,6 +14,41 @@ def printed(code, *arguments):
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.split()
+
+
+WINDOW = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules", "bubbleviz_ui")
+HEAVY = (*WINDOW, "numpy", "scipy", "pydantic", "osqp", "open3d", "rosbags", "matplotlib", "pandas")
+MAIN = "import click; from bubbleviz.cli.command_line import main\n"
+HELP = MAIN + "for name in {}: main([name, '--help'], standalone_mode=False)"
+COMMAND = MAIN + "main({!r}.split() + sys.argv[1:], standalone_mode=False)"
+UNUSED = {
+    "the library": ("import bubbleviz", HEAVY),
+    "help": (MAIN + "main(['--help'], standalone_mode=False)", HEAVY),
+    "help of commands without a window": (HELP.format("main.commands"), HEAVY),
+    "help of every command": (
+        HELP.format("main.list_commands(click.Context(main))"),
+        (name for name in HEAVY if name != "bubbleviz_ui"),
+    ),
+    "a worker, which has to choose its threads first": (
+        "import bubbleviz.processes.worker_server", ("numpy",),
+    ),
+    "recordings and pipeline": (
+        "import bubbleviz.pipeline, bubbleviz.recordings.recording",
+        ("zenoh", "mcap", "pyrealsense2"),
+    ),
+    "estimate": (COMMAND.format("estimate"), (*WINDOW, "matplotlib", "pandas", "bubbleviz.pose")),
+    "export of depth pictures": (
+        COMMAND.format("export --what depth"), (*WINDOW, "open3d", "osqp", "clarabel", "pyarrow"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("code", "names"), UNUSED.values(), ids=UNUSED)
+def test_what_is_not_used_is_not_imported(code, names, press, sensor, tmp_path):
+    out = tmp_path / ("out.npz" if "estimate" in code else "out")
+    words = (press, "--sensor", sensor, "--frames", "0:2", "--out", out)
+    listed = f"print('loaded', *({set(names)} & set(sys.modules)))"
+    assert printed(f"import sys; {code}\n{listed}", *words)[-1] == "loaded"
 
 
 CODE = """

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from small_press import write_press
+from small_press import changed, write_press
 
 import bubbleviz as bv
 from bubbleviz.errors import InputError
@@ -74,9 +74,8 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
 ):
     stiffer = bv.load_sensor(sensor)
     gauge = {"gauge_pressure_pa": 1.5 * stiffer.pneumatics.gauge_pressure_pa}
-    pneumatics = stiffer.pneumatics.model_copy(update=gauge)
     other = tmp_path / "other.toml"
-    bv.save_sensor(stiffer.model_copy(update={"pneumatics": pneumatics}), other)
+    bv.save_sensor(changed(stiffer, pneumatics=gauge), other)
     saved = tmp_path / "a.npz"
     runs[0].save(saved)
     words = ["compare", saved, recordings[0], "--other-sensor", other]

@@ -8,6 +8,7 @@ import pytest
 from small_press import HEIGHTS
 
 import bubbleviz as bv
+from tests.small_press import changed
 
 SHAPE = (43, 56)
 
@@ -174,8 +175,7 @@ def test_path_in_place_of_a_recording(sensor, press, tmp_path):
 def test_colour_arrays_give_the_same_traction_as_frames_with_colour():
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     given = bv.load_sensor("pico_flexx_75mm")
-    membrane = given.membrane.model_copy(update={"nodes": 200, "prestretch": 1.2})
-    rubber = given.model_copy(update={"membrane": membrane})
+    rubber = changed(given, membrane={"nodes": 200, "prestretch": 1.2})
     free, pressed = (
         bv.simulate(
             rubber, "cylinder", f"0 0 {height} 0 0 0 1", frames=1, friction=0.8, texture=True

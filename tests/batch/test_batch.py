@@ -342,9 +342,3 @@ def test_auto_reports_recordings_that_match_no_preset(recordings, tmp_path):
     row = run_job(job)
     assert row.outcome == "bad_input"
     assert "no preset has a camera of 56×43 pixels" in row.error
-
-
-def test_a_process_chooses_its_threads_before_it_imports_numpy():
-    code = "import sys, bubbleviz.processes.worker_server; print('numpy' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import bubbleviz as bv
 from bubbleviz.calibration import rest_gauge
+from tests.small_press import changed
 
 
 def identify(source, sensor, frames=None, **settings):
@@ -19,4 +20,4 @@ def opened(found, vented):
 def with_air(sensor, pressure_pa):
     """The same sensor file with another atmospheric pressure, whose error is not known."""
     air = {"atmospheric_pressure_pa": pressure_pa, "gauge_sigma_pa": None}
-    return sensor.model_copy(update={"pneumatics": sensor.pneumatics.model_copy(update=air)})
+    return changed(sensor, pneumatics=air)

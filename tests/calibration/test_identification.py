@@ -9,6 +9,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import balance_tension, build_mesh
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
+from tests.small_press import changed
 
 from .identified import identify
 from .twin import ATMOSPHERE, FREE, GAUGE, cast, make_twin, nominal_sensor, residuals_and_bias
@@ -83,7 +84,7 @@ def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path
     """A wrong atmospheric pressure in the sensor file shifts γ0 within its interval."""
     truth, sensor = balance_tension(twin.truth, GAUGE), nominal_sensor()
     air = {"atmospheric_pressure_pa": ATMOSPHERE - 1500.0}
-    sensor = sensor.model_copy(update={"pneumatics": sensor.pneumatics.model_copy(update=air)})
+    sensor = changed(sensor, pneumatics=air)
     found = identify(twin, sensor, range(20), nodes=300)
     by_shape, tension = found.tension.of_shape, found.tension.tension
     assert by_shape.low > 1.2 * truth and tension.low < truth < tension.high

@@ -32,6 +32,7 @@ from tests.rubber_renders import (
     render,
     rubber_truth,
 )
+from tests.small_press import changed
 
 from .identified import identify
 
@@ -63,8 +64,7 @@ def dome(request):
 def sensor_file(camera=SMALL, **pneumatics):
     """Sensor file with these values of its `[pneumatics]`."""
     sensor = dome_sensor(camera)
-    section = sensor.pneumatics.model_copy(update=pneumatics)
-    return sensor.model_copy(update={"pneumatics": section})
+    return changed(sensor, pneumatics=pneumatics)
 
 
 def identification(dome, camera=SMALL, nodes=NODES):

@@ -16,6 +16,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, SyntheticSource
+from tests.small_press import changed
 
 from .domes import Dome
 from .identified import identify
@@ -132,11 +133,11 @@ def test_useless_levels_are_refused(level, why):
 def press():
     """A simulated recording: rest, then a cylinder at a known constant pose."""
     sensor = stretched(0.05).sensor
-    membrane = sensor.membrane.model_copy(
-        update={"nodes": 300, "rim_radius_m": 0.075, "height_m": 0.05}
+    sensor = changed(
+        sensor,
+        membrane={"nodes": 300, "rim_radius_m": 0.075, "height_m": 0.05},
+        camera={"position_m": (0.0, 0.0, -0.104)},
     )
-    camera = sensor.camera.model_copy(update={"position_m": (0.0, 0.0, -0.104)})
-    sensor = sensor.model_copy(update={"membrane": membrane, "camera": camera})
     obj = load_object("cylinder")
     poses = np.tile(np.eye(4), (16, 1, 1))
     poses[:, 2, 3] = 0.05 - np.r_[np.full(12, -0.01), np.full(4, 0.008)] - obj.vertices[:, 2].min()

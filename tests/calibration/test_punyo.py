@@ -13,6 +13,7 @@ from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording, find_contact_free
 from bubbleviz.sensor import load_sensor
+from tests.small_press import changed
 
 from .identified import identify
 from .twin import residuals_and_bias
@@ -32,8 +33,9 @@ def press():
 def found(press):
     """Identified from the first 40 of 60 contact-free frames, at the sea's atmosphere."""
     sensor = load_sensor("punyo_oval_d405")
-    air = sensor.pneumatics.model_copy(update={"atmospheric_pressure_pa": 101_325.0})
-    return identify(press, sensor.model_copy(update={"pneumatics": air}), range(40))
+    return identify(
+        press, changed(sensor, pneumatics={"atmospheric_pressure_pa": 101_325.0}), range(40)
+    )
 
 
 @needs_press

@@ -21,6 +21,7 @@ from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.round_sheet import round_sheet
 from tests.oracles.rubber_oracle import AxialRubber
+from tests.small_press import changed
 
 from .identified import identify, opened, with_air
 
@@ -66,8 +67,7 @@ def test_command_finds_rubber_and_gauge_pressure(tmp_path):
         level: record(tmp_path / f"{name}.mcap", source_of(level)) for level, name in names.items()
     }
     given = SHEET.sensor(WIDTH)
-    air = given.pneumatics.model_copy(update={"atmospheric_pressure_pa": ATMOSPHERE_PA + 700.0})
-    given = given.model_copy(update={"pneumatics": air})
+    given = changed(given, pneumatics={"atmospheric_pressure_pa": ATMOSPHERE_PA + 700.0})
     (tmp_path / "given.toml").write_text(sensor_to_toml(given))
     out = tmp_path / "new.toml"
     result = CliRunner().invoke(command, [

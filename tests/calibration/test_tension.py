@@ -15,6 +15,7 @@ from bubbleviz.membrane import (
     mesh_cap,
 )
 from bubbleviz.simulation import DepthNoise
+from tests.small_press import changed
 
 from .domes import GAUGE, oval, sphere
 from .identified import identify
@@ -91,8 +92,9 @@ def rim_of(dome):
 def test_tension_is_proportional_to_gauge_pressure(spheres):
     found = spheres[0].tension
     dome = sphere(0)
-    pneumatics = dome.sensor.pneumatics.model_copy(update={"gauge_pressure_pa": GAUGE + 100.0})
-    other = identify(dome, dome.sensor.model_copy(update={"pneumatics": pneumatics}), nodes=200)
+    other = identify(
+        dome, changed(dome.sensor, pneumatics={"gauge_pressure_pa": GAUGE + 100.0}), nodes=200
+    )
     change = other.tension_n_per_m - found.tension.value
     assert change == pytest.approx(100.0 * found.per_pascal, rel=1e-6)
 

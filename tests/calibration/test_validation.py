@@ -10,6 +10,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, SyntheticSource
+from tests.small_press import changed
 
 TENSION = 105.0
 
@@ -17,9 +18,7 @@ TENSION = 105.0
 @pytest.fixture(scope="module")
 def sensor():
     sensor = load_sensor("pico_flexx_75mm")
-    membrane = sensor.membrane.model_copy(update={"nodes": 400})
-    pneumatics = sensor.pneumatics.model_copy(update={"tension_n_per_m": TENSION})
-    return sensor.model_copy(update={"membrane": membrane, "pneumatics": pneumatics})
+    return changed(sensor, membrane={"nodes": 400}, pneumatics={"tension_n_per_m": TENSION})
 
 
 @pytest.fixture(scope="module")

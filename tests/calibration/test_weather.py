@@ -15,6 +15,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.zeros import zeros_of
 from tests.rubber_renders import Renders, camera_of, dome_sensor, render
+from tests.small_press import changed
 
 SHIFTS = (300.0, 1000.0, 3000.0, -1000.0)
 SHIFTED = [pytest.param(each, marks=pytest.mark.long) for each in SHIFTS[:2]] + [*SHIFTS[2:]]
@@ -29,8 +30,7 @@ def shifted(frames, shift_pa):
 def twin():
     """A rubber dome that a ball is pressed into: sensor, frames at rest and in contact, force."""
     sensor = dome_sensor(camera_of(160, 107.5))
-    membrane = sensor.membrane.model_copy(update={"prestretch": 1.2, "nodes": 500})
-    sensor = sensor.model_copy(update={"membrane": membrane})
+    sensor = changed(sensor, membrane={"prestretch": 1.2, "nodes": 500})
     model = SensorModel.of(sensor, nodes=1500)
     ball, pose = load_object("sphere"), np.eye(4)
     pose[:3, 3] = 0.006, -0.004, model.mesh.nodes[:, 2].max() - ball.vertices[:, 2].min() - 0.007

@@ -22,6 +22,7 @@ from bubbleviz.calibration import (
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import HeldFrames
+from tests.small_press import changed
 
 from .domes import sphere
 from .identified import identify
@@ -164,8 +165,7 @@ def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
 
 
 def test_another_height_appears_in_table_and_image(found):
-    higher = found.sensor.membrane.model_copy(update={"height_m": 0.052})
-    table = SensorComparison.of(found.sensor.model_copy(update={"membrane": higher}), found)
+    table = SensorComparison.of(changed(found.sensor, membrane={"height_m": 0.052}), found)
     height = next(row for row in table.rows if row.name == "height")
     assert height.old - height.new == pytest.approx(2e-3, abs=2e-4)
     middle = table.difference_m[tuple(s // 2 for s in table.difference_m.shape)]

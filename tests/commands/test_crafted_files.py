@@ -243,6 +243,7 @@ MESHES = {
     "obj of a missing vertex": ("a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 9\n"),
     "stl that ends early": ("a.stl", "solid a\nvertex 0 0 0\nvertex 1 0 0\n"),
     "stl of other text": ("a.stl", "not an STL file"),
+    "ply of other text": ("a.ply", "ply\nhello\n"),
 }
 
 

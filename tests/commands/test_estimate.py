@@ -3,8 +3,6 @@
 import json
 import math
 import os
-import subprocess
-import sys
 import tomllib
 import tracemalloc
 from dataclasses import replace
@@ -18,7 +16,8 @@ from bubbleviz.output import COLUMNS, FrameTable, ResultWriter, summary_row
 from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from tests.program import output_of, rows_of
+from tests.program import output_of
+from tests.small_press import changed
 
 PRESET = "pico_flexx_75mm"
 HEIGHTS = (0.060, 0.042, 0.038, 0.038)
@@ -144,19 +143,6 @@ def test_columns_agree_with_the_nodal_fields(result):
     np.testing.assert_allclose(result["center_of_pressure_m"][2], load @ moved / load.sum())
 
 
-def test_csv_has_the_same_numbers(folder, result):
-    rows = rows_of(folder / "result.csv")
-    assert [row["status"] for row in rows] == result["status"].tolist()
-    for name in ("frame", "time_s", "patch_area_m2", "kkt_residual", "total_ms"):
-        assert [float(row[name]) for row in rows] == result[name].tolist()
-    for axis, name in enumerate(("force_x_n", "force_y_n", "force_z_n")):
-        assert [float(row[name]) for row in rows] == result["force_n"][:, axis].tolist()
-    assert rows[0]["center_of_pressure_x_m"] == "nan"
-    name = load_sensor(PRESET).name
-    assert list(rows[0])[-2:] == ["kappa", "sensor"]
-    assert {(row["kappa"], row["sensor"]) for row in rows} == {("", name)}  # automatic
-
-
 def test_json_times_exclude_the_first_frame(folder, result):
     told = json.loads((folder / "told.json").read_text())
     assert told["frames"] == len(HEIGHTS)
@@ -211,28 +197,10 @@ def test_a_frame_without_data_in_the_middle(folder, tmp_path, result):
 
 def test_camera_info_of_the_recording_has_priority(folder, tmp_path, result):
     sensor = load_sensor(PRESET)
-    camera = sensor.camera.model_copy(update={"fx": 1.2 * sensor.camera.fx})
     wrong = tmp_path / "wrong.toml"
-    wrong.write_text(sensor_to_toml(sensor.model_copy(update={"camera": camera})))
+    wrong.write_text(sensor_to_toml(changed(sensor, camera={"fx": 1.2 * sensor.camera.fx})))
     output_of("estimate", folder / "rec.mcap", "--sensor", wrong, "--out", tmp_path / "r.npz")
     np.testing.assert_allclose(arrays(tmp_path / "r.npz")["force_n"], result["force_n"])
-
-
-def test_window_is_not_imported(folder, tmp_path):
-    code = (
-        "import sys; from bubbleviz.cli.command_line import main\n"
-        "main(sys.argv[1:], standalone_mode=False); "
-        "heavy = ('PySide6', 'vtkmodules', 'pyvista', 'pyvistaqt', 'pyqtgraph', 'bubbleviz_ui', "
-        "'matplotlib', 'pandas', 'bubbleviz.pose'); "
-        "print('LOADED', [m for m in heavy if m in sys.modules])"
-    )
-    words = ["estimate", str(folder / "rec.mcap"), "--sensor", PRESET, "--frames", "0:2", "--out"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words, str(tmp_path / "r.npz")],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    assert done.stdout.rstrip().endswith("LOADED []")
-    assert done.stderr == ""  # no progress bar where there is no terminal
 
 
 # -- the file, without a solver -----------------------------------------------------------------
@@ -241,8 +209,7 @@ def test_window_is_not_imported(folder, tmp_path):
 @pytest.fixture(scope="module")
 def small():
     sensor = load_sensor(PRESET)
-    membrane = sensor.membrane.model_copy(update={"nodes": 60})
-    return sensor.model_copy(update={"membrane": membrane})
+    return changed(sensor, membrane={"nodes": 60})
 
 
 def fake_results(frames, nodes, shape):

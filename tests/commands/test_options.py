@@ -66,6 +66,7 @@ def test_millimetres_and_degrees_are_taken_as_before(sensor, tmp_path):
         ("pose REC --sensor S --object cylinder", "new.csv"),
         ("export REC --sensor S", "new.csv"),
         ("export REC --sensor S --what ply,depth", "folder"),
+        ("export REC --sensor S --what lerobot", "folder"),
         ("record --source replay:REC?speed=100", "new.mcap"),
         ("record --source replay:REC?speed=100", "bag"),
         ("watch --source replay:REC?speed=100 --sensor S", "new.mcap"),

@@ -73,14 +73,6 @@ def with_hole(size):
     return depth(change)
 
 
-def with_pixel(depth_m):
-    def change(image, k):
-        image[(37 * k) % ROWS, (101 * k) % COLUMNS] = depth_m
-        return image
-
-    return depth(change)
-
-
 def drift(image, k):
     return np.where(image > 0.0, image - np.float32(0.5e-3 * min(k, 59) / 59), 0.0)
 
@@ -124,26 +116,11 @@ def undisturbed(punyo_press, tmp_path_factory):
 )
 def test_no_wrong_force_is_ok(punyo_press, undisturbed, tmp_path, change):
     recording = rewritten(punyo_press, tmp_path / "changed.mcap", change)
-    _, wrong, warnings = compared(recording, tmp_path, undisturbed)
-    assert warnings or not wrong.any()
-
-
-def compared(recording, folder, undisturbed):
-    """Statuses, which frames have a wrong force that is trusted, and what stderr says."""
-    statuses, force, sigma, warnings = estimated(recording, folder)
-    if not statuses:
-        return statuses, np.zeros(0, bool), warnings
-    limit = 3.0 * sigma + 0.02  # some thirty components are compared
-    off = (np.abs(force - undisturbed) > limit).any(axis=1)
-    return statuses, off & np.isin(statuses, ["ok", "no_contact"]), warnings
-
-
-@pytest.mark.parametrize("depth_m", [10.0, 0.02])
-def test_a_bad_pixel_loses_no_frame(punyo_press, undisturbed, tmp_path, depth_m):
-    recording = rewritten(punyo_press, tmp_path / "changed.mcap", with_pixel(depth_m))
-    statuses, wrong, warnings = compared(recording, tmp_path, undisturbed)
-    assert statuses == ["ok" if touched else "no_contact" for touched in undisturbed.any(axis=1)]
-    assert not wrong.any() and not warnings
+    statuses, force, sigma, warnings = estimated(recording, tmp_path)
+    if statuses and not warnings:
+        trusted = np.isin(statuses, ["ok", "no_contact"])
+        limit = 3.0 * sigma + 0.02  # some thirty components are compared
+        assert (np.abs(force - undisturbed) <= limit)[trusted].all()
 
 
 def test_a_tension_outside_its_interval_is_refused_or_warned_of(punyo_press, tmp_path):

@@ -7,6 +7,7 @@ from bubbleviz.camera import DepthCamera
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from tests.program import output_of, refusal
+from tests.small_press import changed
 
 POSE = "0.004 0 0.040 0 0 0 1"
 
@@ -14,14 +15,9 @@ POSE = "0.004 0 0.040 0 0 0 1"
 @pytest.fixture(scope="module")
 def sensor_file(tmp_path_factory):
     sensor = load_sensor("pico_flexx_75mm")
-    small = sensor.camera.model_copy(
-        update={"width": 64, "height": 48, "fx": 53.3, "fy": 58.0, "cx": 31.5, "cy": 23.5}
-    )
-    membrane = sensor.membrane.model_copy(update={"nodes": 600})
+    camera = {"width": 64, "height": 48, "fx": 53.3, "fy": 58.0, "cx": 31.5, "cy": 23.5}
     path = tmp_path_factory.mktemp("sensor") / "small.toml"
-    path.write_text(
-        sensor_to_toml(sensor.model_copy(update={"camera": small, "membrane": membrane}))
-    )
+    path.write_text(sensor_to_toml(changed(sensor, camera=camera, membrane={"nodes": 600})))
     return path
 
 

@@ -233,18 +233,6 @@ def test_only_required_stages_run(what, stages, tmp_path, press, sensor):
     assert set(ran.values()) == {2}
 
 
-def test_depth_pictures_load_no_solver(tmp_path, press, sensor):
-    words = [str(press), "--sensor", str(sensor), "--out", str(tmp_path / "d"), "--what", "depth"]
-    code = (
-        "import sys; from bubbleviz.cli.command_line import main\n"
-        f"main({['export', *words]!r}, standalone_mode=False)\n"
-        "print([m for m in ('open3d', 'osqp', 'clarabel', 'pyarrow', 'pyvista', 'PySide6')"
-        " if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.rstrip().endswith("[]")
-
-
 # -- whole or not at all -----------------------------------------------------------------------
 
 

@@ -8,7 +8,6 @@ import pyarrow.parquet
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.errors import InputError
 from tests.shear.texture_bag import HELD, write_texture_press
 
 FIRST = "chunk-000/file-000.parquet"
@@ -76,15 +75,6 @@ def test_episode_task_and_statistics(dataset):
     for name, found in (("min", wrench.min(0)), ("max", wrench.max(0)), ("mean", wrench.mean(0))):
         np.testing.assert_allclose(stats["observation.wrench"][name], found, rtol=1e-5, atol=1e-9)
         np.testing.assert_allclose(episode[f"stats/observation.wrench/{name}"], found, rtol=1e-5)
-
-
-def test_dataset_is_replaced_only_on_request(dataset, press, sensor):
-    before = (dataset / "meta/info.json").read_bytes()
-    with pytest.raises(InputError, match="exists"):
-        bv.export(press, dataset, sensor, what="lerobot")
-    assert (dataset / "meta/info.json").read_bytes() == before
-    bv.export(press, dataset, sensor, what="lerobot", overwrite=True)
-    assert (dataset / "meta/info.json").read_bytes() == before
 
 
 def test_slip_is_there_where_shear_was_asked_for_and_only_there(dataset, tmp_path):

@@ -14,6 +14,7 @@ from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import touching_height
 from bubbleviz.zeros import zeros_of
+from tests.small_press import changed
 
 REST, HELD = 20, 4
 SEEDS = range(6)
@@ -22,8 +23,7 @@ SEEDS = range(6)
 @cache
 def sensor():
     given = bv.load_sensor("pico_flexx_75mm")
-    membrane = given.membrane.model_copy(update={"nodes": 400, "prestretch": 1.2})
-    return given.model_copy(update={"membrane": membrane})
+    return changed(given, membrane={"nodes": 400, "prestretch": 1.2})
 
 
 @cache

@@ -33,6 +33,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
 from bubbleviz.simulation import refined_press
 from tests.oracles.rubber_oracle import AxialRubber
+from tests.small_press import changed
 
 EVERY = 1 if "TEST_ALL" in os.environ else 2
 """Of like cases and seeds, which one is tried."""
@@ -389,10 +390,8 @@ def test_an_unsolved_frame_has_no_numbers():
 def test_the_exact_membrane_is_the_default_where_the_prestretch_is_known():
     sensor = load_sensor("pico_flexx_75mm")
     small = {"nodes": 100}
-    known = sensor.model_copy(
-        update={"membrane": sensor.membrane.model_copy(update={"prestretch": 1.2, **small})}
-    )
-    unknown = sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update=small)})
+    known = changed(sensor, membrane={"prestretch": 1.2, **small})
+    unknown = changed(sensor, membrane=small)
     for each, name, solver in (
         (known, None, "rubber"),
         (unknown, None, "linear"),

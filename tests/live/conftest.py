@@ -6,6 +6,7 @@ import pytest
 from wire import HEIGHT, WIDTH
 
 from bubbleviz.sensor import load_sensor
+from tests.small_press import changed
 
 
 @pytest.fixture(autouse=True)
@@ -25,18 +26,18 @@ def small_sensor(tmp_path_factory):
     """The preset with a coarse mesh and few pixels, looking at the same dome."""
     sensor = load_sensor("pico_flexx_75mm")
     scale = WIDTH / sensor.camera.width
-    camera = sensor.camera.model_copy(
-        update={
+    return changed(
+        sensor,
+        camera={
             "width": WIDTH,
             "height": HEIGHT,
             "fx": sensor.camera.fx * scale,
             "fy": sensor.camera.fy * HEIGHT / sensor.camera.height,
             "cx": 0.5 * (WIDTH - 1),
             "cy": 0.5 * (HEIGHT - 1),
-        }
+        },
+        membrane={"nodes": 300},
     )
-    membrane = sensor.membrane.model_copy(update={"nodes": 300})
-    return sensor.model_copy(update={"camera": camera, "membrane": membrane})
 
 
 @pytest.fixture(scope="session")

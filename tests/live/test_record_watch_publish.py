@@ -332,13 +332,3 @@ def test_a_file_with_a_hole_has_a_hole(tmp_path):
     counted = sequences(recorded(tmp_path / "rec.mcap", messages))
     assert counted.tolist() == [5, 6, 8, 8, 9]
     assert gaps_in(counted) == (1, 1)
-
-
-def test_other_commands_do_not_import_live_libraries():
-    code = (
-        "import sys, bubbleviz.cli.command_line, bubbleviz.pipeline\n"
-        "import bubbleviz.recordings.recording\n"
-        "print([m for m in ('zenoh', 'mcap', 'pyrealsense2') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"

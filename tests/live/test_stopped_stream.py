@@ -16,6 +16,7 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.live import SessionOptions, ZenohPublisher
 from bubbleviz.recordings import RecordingWriter
+from tests.small_press import changed
 
 BEFORE, GAP_S = 4, 2.5
 """Frames before and after the gap, and its length: more than twice the time that is waited."""
@@ -120,5 +121,4 @@ def test_robot_without_a_camera_times_out(made, sensor, monkeypatch):
 def of_robot(sensor):
     """The sensor with images of the robot's size."""
     given = bv.load_sensor(sensor)
-    camera = given.camera.model_copy(update={"width": WIDTH, "height": HEIGHT})
-    return given.model_copy(update={"camera": camera})
+    return changed(given, camera={"width": WIDTH, "height": HEIGHT})

@@ -31,6 +31,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.rubber_oracle import AxialRubber
+from tests.small_press import changed
 
 BALL = 0.015  # of the preset
 TRUTHS = {
@@ -151,8 +152,7 @@ def test_membrane_of_a_sensor():
     tension = reference_tension(sensor, mesh)
     constant = build_rubber(sensor, mesh, tension).stress(mesh.nodes)
     assert np.trace(constant, axis1=1, axis2=2) == pytest.approx(2.0 * tension, rel=1e-9)
-    section = sensor.membrane.model_copy(update={"prestretch": 1.2})
-    rubber = build_rubber(sensor.model_copy(update={"membrane": section}), mesh, tension)
+    rubber = build_rubber(changed(sensor, membrane={"prestretch": 1.2}), mesh, tension)
     assert rubber.mu_h == pytest.approx(tension / (1.0 - 1.2**-6))
     assert rubber.mean_tension == pytest.approx(tension, rel=5e-3)
     stretch = np.sqrt(mesh.facet_areas.sum() / rubber.stress_free_area.sum())
@@ -218,8 +218,7 @@ def test_proportional_errors_of_gauge_pressure_and_tension_keep_the_stretch(puny
 def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration(punyo):
     """`gauge_sigma_pa` counts in place of the calibration's interval, too."""
     sensor, mesh, tension = punyo
-    section = sensor.pneumatics.model_copy(update={"gauge_sigma_pa": 700.0})
-    told = sensor.model_copy(update={"pneumatics": section})
+    told = changed(sensor, pneumatics={"gauge_sigma_pa": 700.0})
     plain = told.model_copy(update={"calibration": None})
     raised = sensor.pneumatics.gauge_pressure_pa + 700.0
     (by_gauge,) = varied_rubber(plain, mesh, tension)
@@ -244,5 +243,4 @@ def test_a_varied_membrane_has_the_stress_of_its_own_surface_and_pressure():
         np.testing.assert_allclose(
             other.stress(mesh.nodes), expected, atol=1e-9 * np.abs(expected).max()
         )
-    membrane = sensor.membrane.model_copy(update={"prestretch": None})
-    assert rest_stress(sensor.model_copy(update={"membrane": membrane}), mesh) is None
+    assert rest_stress(changed(sensor, membrane={"prestretch": None}), mesh) is None

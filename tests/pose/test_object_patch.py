@@ -12,6 +12,7 @@ from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
+from tests.small_press import changed
 
 RADIUS_M = 0.012  # of the cylinder's flat face
 
@@ -25,8 +26,7 @@ def upright(x=0.003, y=-0.002, z=0.042):
 @pytest.fixture(scope="module")
 def model():
     sensor = load_sensor("pico_flexx_75mm")
-    membrane = sensor.membrane.model_copy(update={"nodes": 1_200, "prestretch": 1.2})
-    return SensorModel.of(sensor.model_copy(update={"membrane": membrane}))
+    return SensorModel.of(changed(sensor, membrane={"nodes": 1_200, "prestretch": 1.2}))
 
 
 @pytest.fixture(scope="module")

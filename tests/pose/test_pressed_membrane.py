@@ -22,6 +22,7 @@ from bubbleviz.pose import (
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, study_object
+from tests.small_press import changed
 
 PRECISE = PressOptions(converged_m=1e-6, max_steps=60)
 
@@ -29,8 +30,7 @@ PRECISE = PressOptions(converged_m=1e-6, max_steps=60)
 @pytest.fixture(scope="module")
 def pipeline():
     sensor = load_sensor("pico_flexx_75mm")
-    membrane = sensor.membrane.model_copy(update={"nodes": 900, "prestretch": 1.2})
-    return Pipeline(SensorModel.of(sensor.model_copy(update={"membrane": membrane})))
+    return Pipeline(SensorModel.of(changed(sensor, membrane={"nodes": 900, "prestretch": 1.2})))
 
 
 @pytest.fixture(scope="module")

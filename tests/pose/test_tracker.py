@@ -1,7 +1,5 @@
 """The tracker on a simulated press: tracking, loss, recovery, and reasons for no pose."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -142,23 +140,6 @@ def test_without_requests_nothing_runs(pipeline, source):
     pipeline.track(None)
     assert pipeline.process(source[0], PRODUCTS).pose is None
     assert pipeline.counts["pose"] == 0
-
-
-def test_pose_libraries_are_imported_on_demand():
-    program = """
-import sys
-import numpy as np
-from bubbleviz.recordings import Frame
-from bubbleviz.pipeline import Pipeline
-from bubbleviz.sensor import Calibration, load_sensor
-pipeline = Pipeline.of(load_sensor("pico_flexx_75mm"))
-pipeline.process(Frame(0, 0.0, np.full((171, 224), 0.15, np.float32)), frozenset({"patch"}))
-print([name for name in sys.modules if name.startswith("bubbleviz.pose")])
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "[]"
 
 
 def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):

@@ -10,6 +10,7 @@ from bubbleviz.recordings import Frame
 from bubbleviz.simulation import DepthNoise
 from tests.oracles.flow_sighting import FlowSighting, sighting
 from tests.oracles.stuck_press import Motion, ShearTruth, pressed, shear_sensor
+from tests.small_press import changed
 
 NOISE = DepthNoise(absolute_m=5e-5)
 FLOW_PX = 0.03
@@ -20,7 +21,7 @@ def sensor(nodes=600):
     """The study's dome over a camera of fewer pixels."""
     whole = shear_sensor(nodes)
     fewer = {"width": 400, "height": 320, "fx": 260.0, "fy": 260.0, "cx": 199.5, "cy": 159.5}
-    return whole.model_copy(update={"camera": whole.camera.model_copy(update=fewer)})
+    return changed(whole, camera=fewer)
 
 
 @cache

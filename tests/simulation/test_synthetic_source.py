@@ -13,6 +13,7 @@ from bubbleviz.simulation import (
     SyntheticSource,
     default_press,
 )
+from tests.small_press import changed
 
 FLAT = np.full((120, 160), 0.15)
 
@@ -26,8 +27,7 @@ def poses(*depths):
 @pytest.fixture(scope="module")
 def sensor():
     sensor = load_sensor("pico_flexx_75mm")
-    membrane = sensor.membrane.model_copy(update={"nodes": 300})
-    return sensor.model_copy(update={"membrane": membrane})
+    return changed(sensor, membrane={"nodes": 300})
 
 
 @pytest.mark.parametrize("noise", [DepthNoise(relative=0.01), DepthNoise(absolute_m=0.0015)])

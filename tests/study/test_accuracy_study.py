@@ -29,6 +29,7 @@ from bubbleviz.study.accuracy import (
 )
 from bubbleviz.study.harness import write
 from tests.program import rows_of
+from tests.small_press import changed
 
 NONE, ONE = DepthNoise(), DepthNoise(relative=0.01)
 SETUPS = (LINEAR, Setup("paper", nodes=300))
@@ -64,9 +65,7 @@ def study(sensor, written):
 def test_the_truth_itself_has_no_errors(sensor):
     bank = TruthBank(LinearPresses.of(SensorModel.of(sensor), 1_500), 7)
     sighting = bank.simulate(Press("sphere", 0.012, False))
-    pipeline = Pipeline.of(
-        sensor.model_copy(update={"membrane": sensor.membrane.model_copy(update={"nodes": 1_500})})
-    )
+    pipeline = Pipeline.of(changed(sensor, membrane={"nodes": 1_500}))
     assert np.array_equal(pipeline.mesh.nodes, bank.mesh.nodes)
     truth = sighting.truth
     estimate = Estimate(

@@ -12,6 +12,7 @@ from bubbleviz.live import SensorPlace, SessionPreset
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.zeros import ZERO_FRAMES
 from bubbleviz_ui.live.connection import single
+from tests.small_press import changed
 
 WIDTH, HEIGHT = 64, 48
 """Of the robot's images, pixels."""
@@ -22,9 +23,7 @@ def robot_sensor(**pneumatics):
     """The small dome seen by a camera of the robot's image size."""
     sensor = small_sensor("robot dome")
     size = {"width": WIDTH, "height": HEIGHT, "fx": 36.8, "fy": 30.4, "cx": 31.5, "cy": 23.5}
-    camera = sensor.camera.model_copy(update=size)
-    air = sensor.pneumatics.model_copy(update=pneumatics)
-    return sensor.model_copy(update={"camera": camera, "pneumatics": air})
+    return changed(sensor, camera=size, pneumatics=pneumatics)
 
 
 def sensor_file(folder, name="robot_dome", **pneumatics):

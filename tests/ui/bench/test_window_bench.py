@@ -19,6 +19,7 @@ from benchmarks.window.__main__ import bench as main
 from benchmarks.window.process_usage import thread_seconds
 from bubbleviz.recordings import recording_writer
 from bubbleviz.sensor import load_sensor, sensor_to_toml
+from tests.small_press import changed
 
 REPOSITORY = Path(__file__).parents[3]
 SHORT_S, FULL_S = 1.5, 6.0
@@ -82,8 +83,7 @@ def press(tmp_path_factory):
     """A recording of many pixels on a coarse mesh, and its sensor's file."""
     folder = tmp_path_factory.mktemp("press")
     preset, sensor = load_sensor("pico_flexx_75mm"), folder / "coarse.toml"
-    coarse = preset.membrane.model_copy(update={"nodes": 200})
-    sensor.write_text(sensor_to_toml(preset.model_copy(update={"membrane": coarse})))
+    sensor.write_text(sensor_to_toml(changed(preset, membrane={"nodes": 200})))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(recording_writer, "CHUNK_BYTES", 1 << 16)  # one frame each
         return write_press(folder / "press.mcap", sensor, 4 * HEIGHTS), sensor

@@ -4,12 +4,13 @@ import pytest
 from calibration_bench import Bench
 from resting import RestingSource
 
+from tests.small_press import changed
+
 
 @pytest.fixture(scope="session")
 def sensor(sensor):
     """With known gauge pressure; else the weather would dominate the interval of γ0."""
-    told = sensor.pneumatics.model_copy(update={"gauge_sigma_pa": 10.0})
-    return sensor.model_copy(update={"pneumatics": told})
+    return changed(sensor, pneumatics={"gauge_sigma_pa": 10.0})
 
 
 @pytest.fixture(scope="session")

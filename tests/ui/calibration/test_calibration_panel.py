@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from window_driver import PLAIN
 
 from bubbleviz.calibration import Step
-from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import report_page
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
+from tests.small_press import changed
 
 
 def test_steps_up_to_gamma0_with_undo_and_redo(bench):
@@ -298,8 +298,7 @@ def test_panel_takes_the_free_height_and_level_controls_are_visible(drive):
 def test_another_inflation_level_is_added_and_undone(bench, tmp_path):
     bench.identify()
     page, low = bench.panel.rectification, small_sensor()
-    membrane = low.membrane.model_copy(update={"height_m": 0.042})
-    source = RestingSource(low.model_copy(update={"membrane": membrane}))
+    source = RestingSource(changed(low, membrane={"height_m": 0.042}))
     record(tmp_path / "low.mcap", (source[k] for k in range(8)))
     bench.step(4)
     assert page.numbers.text("line") == "offset only"
@@ -343,12 +342,3 @@ def test_known_press_is_predicted_and_drawn(drive, sensor):
     share = 100.0 * bench.found.validation.patch_overlap
     assert page.summary.text().startswith("Known press, poor")
     assert f"overlap by {share:.0f} %" in page.summary.text() and tip().endswith("needs attention")
-
-
-@pytest.mark.long
-def test_calibration_of_the_real_press_recording(drive, punyo_press):
-    sensor = load_sensor("punyo_oval_d405")
-    bench = Bench(drive(lambda _: Recording(punyo_press), sensor=sensor))
-    bench.identify()
-    assert len(bench.found.ranges) == 1 and abs(bench.found.ranges[0][1] - 60) <= 3
-    assert bench.found.tension.tension.value == pytest.approx(219.3, rel=0.03)

@@ -11,6 +11,7 @@ from window_driver import CTRL
 
 from bubbleviz.recordings import Frame
 from bubbleviz_ui.calibration.frame_collector import FIRST_ESTIMATE
+from tests.small_press import changed
 
 PERIOD_S = 1.0 / 60.0
 """Frame period of the camera; faster frames would take CPU time from the calibration."""
@@ -133,7 +134,6 @@ def test_collected_frames_survive_close_and_reconnecting(drive):
     assert kept()
     bench.click(box.cancel)
     assert box.message.text() == "8 frames collected." and panel.verdict.isVisible()
-    smaller = sensor.camera.model_copy(update={"width": 64, "height": 48})
-    other = sensor.model_copy(update={"camera": smaller})
+    other = changed(sensor, camera={"width": 64, "height": 48})
     assert "resting is not saved" in answered(bench, lambda: connect(other), "Discard")
     bench.wait(lambda: panel.calibration.work.collected is None)

@@ -64,16 +64,6 @@ def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
     assert needed_products(Settings(**load_scene("cloud").settings())) == {"cloud"}
 
 
-def test_plots_fit_a_small_screen(drive):
-    """1024×700 at 150 %, minus the frame."""
-    driver = drive(DentSource)
-    driver.window.resize(850, 427)
-    driver.wait_until_shown()
-    driver.window.use_scene(load_scene("review"))
-    driver.wait_until_shown()
-    driver.resize(675, 427)
-
-
 def test_an_unknown_scene_is_refused_by_name():
     with pytest.raises(InputError, match=r'"nope".*cloud, dual_nut, pose, press, residual'):
         load_scene("nope")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import QPointF
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, LEFT, clipped_labels, graphics_view, hover, view_texts
+from window_driver import CONTACT, LEFT, graphics_view, hover, view_texts
 
 from bubbleviz.inverse import EstimatorOptions, components
 from bubbleviz.output import iou
@@ -168,19 +168,3 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
         assert float(side.values["iou"].text()) == pytest.approx(agreed, abs=0.05)
         assert side.values["total"].text().endswith(" ms")
         assert side.values["nodes"].text() == str(len(pipeline.mesh.nodes))
-
-
-def test_nothing_is_clipped(drive):
-    driver = drive(frame=CONTACT, live=True)
-    panel = compare(driver)
-    QApplication.processEvents()
-    assert not clipped_labels(panel)
-    panel = threshold(driver)
-    for plot in (panel.histogram, panel.curve):
-        words = plot.frame.label
-        assert (
-            words.item.boundingRect().width() + words.pos().x() <= graphics_view(panel).width() + 8
-        )
-    driver.show("tools", "layers")
-    QApplication.processEvents()
-    assert driver.size == (1280, 800)

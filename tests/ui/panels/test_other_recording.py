@@ -12,6 +12,7 @@ from window_driver import vtk_props
 
 from bubbleviz.sensor import save_sensor
 from bubbleviz_ui.engine.source import Source
+from tests.small_press import changed
 
 LATER, STEP_S = 3, 1.0 / 30.0
 """Frames by which the press of the other recording is later."""
@@ -134,8 +135,7 @@ def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, t
 def test_the_same_recording_is_compared_with_another_sensor_file(driver, choose, sensor, tmp_path):
     panel = driver.window.compare.other
     gauge = {"gauge_pressure_pa": 1.5 * sensor.pneumatics.gauge_pressure_pa}
-    pneumatics = sensor.pneumatics.model_copy(update=gauge)
-    save_sensor(sensor.model_copy(update={"pneumatics": pneumatics}), tmp_path / "other.toml")
+    save_sensor(changed(sensor, pneumatics=gauge), tmp_path / "other.toml")
     choose(panel.sensor_file, tmp_path / "other.toml")
     driver.click(panel.start)
     driver.wait(lambda: "median" in panel.result.text())

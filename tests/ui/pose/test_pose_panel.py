@@ -32,6 +32,7 @@ from bubbleviz_ui.pose.pose_panel import Curves
 from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, NEUTRAL, OBJECT_PATCH
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.object_layers import FitLayer
+from tests.small_press import changed
 
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5
@@ -45,15 +46,12 @@ def source():
     T = np.eye(4)
     T[:3, 3] = TRUE
     preset = load_sensor("pico_flexx_75mm")
-    half = preset.camera.model_copy(
-        update={"width": 112, "height": 86, "cx": 55.5, "cy": 42.5}
-        | {name: getattr(preset.camera, name) / 2 for name in ("fx", "fy")}
-    )
-    coarse = preset.membrane.model_copy(update={"nodes": 400})
-    return SyntheticSource(
-        preset.model_copy(update={"camera": half, "membrane": coarse}), load_object("frustum"),
-        np.repeat(T[None], FRAMES, axis=0), DepthNoise(relative=0.005), nodes=3_000,
-    )  # fmt: skip
+    half = {"width": 112, "height": 86, "cx": 55.5, "cy": 42.5}
+    half |= {name: getattr(preset.camera, name) / 2 for name in ("fx", "fy")}
+    sensor = changed(preset, camera=half, membrane={"nodes": 400})
+    poses = np.repeat(T[None], FRAMES, axis=0)
+    noise = DepthNoise(relative=0.005)
+    return SyntheticSource(sensor, load_object("frustum"), poses, noise, nodes=3_000)
 
 
 class Bench(Driver):

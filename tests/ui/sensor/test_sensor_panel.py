@@ -7,6 +7,7 @@ from window_driver import Driver, answer_file_dialog
 
 from bubbleviz.sensor import Calibration, load_sensor, sensor_to_toml
 from bubbleviz_ui.sensor import sensor_panel
+from tests.small_press import changed
 
 GAUGE, TENSION = "pneumatics.gauge_pressure_pa", "pneumatics.tension_n_per_m"
 
@@ -130,8 +131,7 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
 
 def test_depth_noise_has_three_digits_and_a_preset_is_labelled(drive, left):
     sensor = load_sensor(left)
-    camera = sensor.camera.model_copy(update={"noise_relative": 0.000643})
-    driver = drive(DentSource, sensor=sensor.model_copy(update={"camera": camera}))
+    driver = drive(DentSource, sensor=changed(sensor, camera={"noise_relative": 0.000643}))
     driver.show("sensor")
     panel = driver.window.sensor
     row = panel.rows["camera.noise_relative"]

@@ -215,7 +215,14 @@ def test_the_command_line_opens_a_session(drive, files, tmp_path):
     assert "wrote" in done.stdout
 
 
-@pytest.mark.parametrize("text", [None, "", "[]", '{"schema_version": 9}', '{"live": {"a": 1}}'])
+VIEWPOINT = '{"camera": {"position": [0,0,1], "focal_point": [0,0,0], "up": UP, "view_angle": 30}}'
+UPWARDS = ("[0, 0, 0]", "[0, 0, 1]", "[1e308, 0, 0]")
+TEXTS = ("", "[]", '{"schema_version": 9}', '{"live": {"a": 1}}', '{"frame": -1}')
+
+
+@pytest.mark.parametrize(
+    "text", [None, *TEXTS, *(VIEWPOINT.replace("UP", each) for each in UPWARDS)]
+)
 def test_invalid_session_file_gives_one_sentence(tmp_path, text):
     bad = tmp_path / "bad.bubbleviz"
     if text is not None:

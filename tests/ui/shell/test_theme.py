@@ -202,5 +202,6 @@ def test_the_window_fits_into_1280_by_800(drive):
             panel.show()
             QApplication.processEvents()
             assert driver.size == (1280, 800), (name, panel)
+            assert not clipped_labels(panel)
             panel.setVisible(shown)
         assert not clipped_labels(driver.window)
