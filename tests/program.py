@@ -1,6 +1,9 @@
-"""Commands of bubbleviz, in the process of a test, and the tables that they write."""
+"""Commands of bubbleviz in the process of a test, their tables, and code in other processes."""
 
 import csv
+import subprocess
+import sys
+import textwrap
 
 from click.testing import CliRunner
 
@@ -25,6 +28,14 @@ def refusal(*words):
     assert (done.exit_code, done.stdout) == (2, ""), done.output
     assert done.stderr.startswith("bubbleviz: ") and done.stderr.count("\n") == 1, done.stderr
     return done.stderr
+
+
+def python(code, *words):
+    """What code prints in a process of its own, which must end well and say nothing else."""
+    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+    return done.stdout
 
 
 def rows_of(path):

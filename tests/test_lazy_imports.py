@@ -1,19 +1,15 @@
 """What is not used is not imported, nor what other packages import needlessly."""
 
 import importlib.util
-import subprocess
-import sys
 
 import pytest
+
+from tests.program import python
 
 
 def printed(code, *arguments):
     """Words that code prints in a process of its own."""
-    done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.split()
+    return python(code, *arguments).split()
 
 
 WINDOW = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules", "bubbleviz_ui")

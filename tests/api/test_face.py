@@ -2,7 +2,6 @@
 
 import pickle
 import re
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import with_colour_delay
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource
-from tests.program import output_of
+from tests.program import output_of, python
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
 
@@ -44,8 +43,7 @@ def test_a_notebook_kernel_estimates(press, sensor):
         "import bubbleviz as bv\n"
         f"print(bv.estimate(bv.open({str(press)!r})[2:3], {str(sensor)!r}).status[0])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "ok"
+    assert python(code).strip() == "ok"
 
 
 def test_every_public_name_exists_and_has_a_docstring():

@@ -8,15 +8,13 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from small_press import record
 
-from bubbleviz.cli.verb_commands import identify
-from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml, with_colour_delay
+from tests.program import output_of, refusal
 
 from .domes import GAUGE, sphere
 from .twin import make_twin, nominal_sensor
@@ -27,22 +25,15 @@ def recorded(source, sensor, folder):
     return record(folder / "rest.mcap", source), folder / "given.toml"
 
 
-def run(*arguments):
-    return CliRunner().invoke(identify, [str(a) for a in arguments])
-
-
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """Files of a sphere's identification, and the JSON it printed."""
     folder = tmp_path_factory.mktemp("sphere")
     dome = sphere(5, frames=20)
     recording, given = recorded(dome, with_colour_delay(dome.sensor, -0.055), folder)
-    result = run(
-        recording, "--sensor", given, "--contact-free", "0:20", "--out", folder / "mine.toml",
-        "--report", folder / "report", "--nodes", 300, "--json",
-    )  # fmt: skip
-    assert result.exit_code == 0, result.output
-    return folder, json.loads(result.stdout)
+    words = (recording, "--sensor", given, "--contact-free", "0:20", "--nodes", 300, "--json")
+    out = ("--out", folder / "mine.toml", "--report", folder / "report")
+    return folder, json.loads(output_of("identify", *words, *out))
 
 
 def test_sensor_file_has_its_provenance(made):
@@ -101,10 +92,9 @@ def test_oval_sensor_with_gas_pressure_finds_contact_free_frames_with_a_reason(
     out, read = tmp_path / "oval.toml", Counter()
     frame = Recording.__getitem__
     monkeypatch.setattr(Recording, "__getitem__", lambda own, k: read.update([k]) or frame(own, k))
-    result = run(recording, "--sensor", given, "--out", out, "--nodes", 300)
-    assert result.exit_code == 0, result.output
+    told = output_of("identify", recording, "--sensor", given, "--out", out, "--nodes", 300)
     assert read == dict.fromkeys(range(len(twin)), 1)  # each frame once
-    assert "Shape used: free-form" in result.stdout
+    assert "Shape used: free-form" in told
     sensor = load_sensor(out)
     assert sensor.membrane.shape == "mesh" and sensor.calibration.report is None
     assert abs(len(build_mesh(sensor).nodes) - 300) < 20
@@ -128,7 +118,5 @@ def test_refused_calibration_leaves_no_files(tmp_path, extra, match):
     before = sorted(tmp_path.iterdir())
     out = () if "--out" in extra else ("--out", tmp_path / "new.toml")
     report = ("--report", tmp_path / "r")
-    result = run(recording, "--sensor", given, *out, *report, *extra)
-    assert isinstance(result.exception, InputError)
-    assert re.search(match, str(result.exception)) and "\n" not in str(result.exception)
+    assert match in refusal("identify", recording, "--sensor", given, *out, *report, *extra)
     assert sorted(tmp_path.iterdir()) == before

@@ -4,18 +4,17 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from small_press import record
 
 from bubbleviz.calibration import Settings, Step, Workbench, write_sensor
 from bubbleviz.camera import PixelModel, RangeLine
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, SyntheticSource
+from tests.program import output_of, refusal
 from tests.small_press import changed
 
 from .domes import Dome
@@ -144,21 +143,20 @@ def press():
     return SyntheticSource(sensor, obj, poses, QUIET, nodes=400)
 
 
-def test_command_validates_by_a_known_press(press, tmp_path):
-    recording = record(tmp_path / "press.mcap", press)
+@pytest.fixture
+def pressed(press, tmp_path):
+    """Command that identifies the sensor from the recording."""
     (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
-    z = press.poses[-1][2, 3]
-    arguments = [
-        str(recording), "--sensor", str(tmp_path / "given.toml"), "--nodes", "300",
-        "--contact-free", "0:12", "--report", str(tmp_path / "report"), "--json",
-        "--object", "cylinder", "--pose", f"0 0 {z} 0 0 0 1",
-    ]  # fmt: skip
-    out = ["--out", str(tmp_path / "new.toml")]
-    missing = CliRunner().invoke(main, ["identify", *arguments, *out])
-    assert missing.exit_code == 2 and "--pressed" in missing.output
-    result = CliRunner().invoke(main, ["identify", *arguments, *out, "--pressed", "12:16"])
-    assert result.exit_code == 0, result.output
-    numbers = json.loads(result.stdout)["validation"]
+    words = ("--sensor", tmp_path / "given.toml", "--contact-free", "0:12", "--object", "cylinder")
+    recording = record(tmp_path / "press.mcap", press)
+    return ("identify", recording, *words, "--out", tmp_path / "new.toml", "--nodes")
+
+
+def test_command_validates_by_a_known_press(press, pressed, tmp_path):
+    pose = ("--pose", f"0 0 {press.poses[-1][2, 3]} 0 0 0 1")
+    words = (*pressed, 300, *pose, "--report", tmp_path / "report", "--json")
+    assert "--pressed" in refusal(*words)
+    numbers = json.loads(output_of(*words, "--pressed", "12:16"))["validation"]
     assert numbers["rms_m"] < 0.15 * numbers["untouched_rms_m"]
     assert numbers["rms_m"] < numbers["p95_m"] and numbers["patch_overlap"] > 0.5
     text = (tmp_path / "report" / "report.html").read_text()
@@ -168,26 +166,16 @@ def test_command_validates_by_a_known_press(press, tmp_path):
 
 def test_command_takes_further_levels(tmp_path):
     domes = [stretched(height) for height in (0.05, 0.045)]
-    files = [record(tmp_path / f"{k}.mcap", dome) for k, dome in enumerate(domes)]
+    rest, level = (record(tmp_path / f"{k}.mcap", dome) for k, dome in enumerate(domes))
     (tmp_path / "given.toml").write_text(sensor_to_toml(domes[0].sensor))
-    out = tmp_path / "new.toml"
-    result = CliRunner().invoke(main, ["identify",
-        str(files[0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "150",
-        "--level", str(files[1]), "--level-sigma", "20", "--out", str(out), "--json",
-    ])  # fmt: skip
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["rectification"]["levels"] == 2
-    assert PixelModel.load(out.with_suffix(".npz")).line.levels == 2
+    words = ("--sensor", tmp_path / "given.toml", "--nodes", 150, "--out", tmp_path / "new.toml")
+    told = output_of("identify", rest, *words, "--level", level, "--level-sigma", 20, "--json")
+    assert json.loads(told)["rectification"]["levels"] == 2
+    assert PixelModel.load(tmp_path / "new.npz").line.levels == 2
 
 
-def test_invalid_pressed_frames_are_refused_and_leave_no_files(press, tmp_path):
-    recording = record(tmp_path / "press.mcap", press)
-    (tmp_path / "given.toml").write_text(sensor_to_toml(press.sensor))
+def test_invalid_pressed_frames_are_refused_and_leave_no_files(pressed, tmp_path):
     before = sorted(tmp_path.iterdir())
-    result = CliRunner().invoke(main, ["identify",
-        str(recording), "--sensor", str(tmp_path / "given.toml"), "--contact-free", "0:12",
-        "--nodes", "150", "--out", str(tmp_path / "new.toml"), "--object", "cylinder",
-        "--pose", "0 0 0.05 0 0 0 1", "--pressed", "90:99",
-    ])  # fmt: skip
-    assert result.exit_code == 2 and "outside its 16" in result.stderr
+    words = (*pressed, 150, "--pose", "0 0 0.05 0 0 0 1", "--pressed", "90:99")
+    assert "outside its 16" in refusal(*words)
     assert sorted(tmp_path.iterdir()) == before

@@ -1,7 +1,5 @@
 """The real press, if it is installed, and the preset made from it."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -18,15 +16,11 @@ from tests.small_press import changed
 from .identified import identify
 from .twin import residuals_and_bias
 
-PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
-needs_press = pytest.mark.skipif(not PRESS.exists(), reason="the real recording is not here")
-
 
 @pytest.fixture(scope="module")
-def press():
-    recording = Recording(PRESS)
-    yield recording
-    recording.close()
+def press(punyo_press):
+    with Recording(punyo_press) as recording:
+        yield recording
 
 
 @pytest.fixture(scope="module")
@@ -38,12 +32,10 @@ def found(press):
     )
 
 
-@needs_press
 def test_contact_free_frames(press):
     assert abs(find_contact_free(press).frames.stop - 60) <= 3
 
 
-@needs_press
 @pytest.mark.long  # in short: of the twin, in test_identification.py
 def test_held_out_residual_and_fits(press, found):
     residual, bias = residuals_and_bias(found, [press[k] for k in range(40, 60)])
@@ -57,7 +49,6 @@ def test_held_out_residual_and_fits(press, found):
     assert found.pixels.mask.sum() > 180_000
 
 
-@needs_press
 @pytest.mark.long  # in short: of a sphere, in test_identify_command.py
 def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert found.surfaces.chosen == "free-form"
@@ -71,7 +62,6 @@ def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert np.sqrt(np.mean(np.square(forces))) <= 0.05
 
 
-@needs_press
 @pytest.mark.long  # in short: of simulated rubber, in test_rubber_press.py
 def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, found):
     """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean.
@@ -93,7 +83,6 @@ def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, fo
     assert result.rubber.prestretch is not None
 
 
-@needs_press
 @pytest.mark.long  # in short: of the twin, in test_refusals.py
 def test_recording_with_permanent_contact_is_refused(press):
     with pytest.raises(InputError, match="pressed in by") as error:
@@ -102,17 +91,15 @@ def test_recording_with_permanent_contact_is_refused(press):
     assert abs(column - 259) < 15 and abs(row - 289) < 15
 
 
-def test_preset_has_its_provenance():
-    sensor = load_sensor("punyo_oval_d405")
-    assert sensor.calibration.recording == "punyo_press_a"
-    if PRESS.exists():
-        assert sensor.calibration.recording_sha256 == file_hash(PRESS)
-    low, high = sensor.calibration.tension_interval_n_per_m
-    assert low < sensor.pneumatics.tension_n_per_m < high
+def test_preset_is_of_the_real_press(punyo_press):
+    assert load_sensor("punyo_oval_d405").calibration.recording_sha256 == file_hash(punyo_press)
 
 
 def test_preset_is_complete_and_small():
     sensor = load_sensor("punyo_oval_d405")
+    assert sensor.calibration.recording == "punyo_press_a"
+    low, high = sensor.calibration.tension_interval_n_per_m
+    assert low < sensor.pneumatics.tension_n_per_m < high
     mesh = build_mesh(sensor)
     assert np.degrees(mesh.angles.min()) > 25.0
     np.testing.assert_allclose(mesh.nodes[mesh.rim, 2], 0.0, atol=1e-9)

@@ -7,12 +7,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.signal import lfilter
 from small_press import record
 
 from bubbleviz.calibration import collect, open_chamber, with_rubber
-from bubbleviz.cli.verb_commands import identify as command
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, prestressed
 from bubbleviz.recordings import Frame
@@ -21,6 +19,7 @@ from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.round_sheet import round_sheet
 from tests.oracles.rubber_oracle import AxialRubber
+from tests.program import output_of
 from tests.small_press import changed
 
 from .identified import identify, opened, with_air
@@ -70,13 +69,10 @@ def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     given = changed(given, pneumatics={"atmospheric_pressure_pa": ATMOSPHERE_PA + 700.0})
     (tmp_path / "given.toml").write_text(sensor_to_toml(given))
     out = tmp_path / "new.toml"
-    result = CliRunner().invoke(command, [
-        str(files[1.0]), "--sensor", str(tmp_path / "given.toml"), "--nodes", "200",
-        "--level", str(files[0.85]), "--level", str(files[1.15]), "--out", str(out),
-        "--report", str(tmp_path / "report"), "--json",
-    ])  # fmt: skip
-    assert result.exit_code == 0, result.output
-    found = json.loads(result.stdout)["rubber"]
+    words = (files[1.0], "--sensor", tmp_path / "given.toml", "--nodes", 200, "--out", out)
+    levels = ("--level", files[0.85], "--level", files[1.15])
+    told = output_of("identify", *words, *levels, "--report", tmp_path / "report", "--json")
+    found = json.loads(told)["rubber"]
     sensor = load_sensor(out)
     saved = sensor.calibration
     for interval, truth in (

@@ -3,27 +3,24 @@
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from small_press import record
 
 import bubbleviz as bv
 from bubbleviz.calibration import write_sensor
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, MembraneMesh, build_rubber
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
+from tests.program import output_of, refusal
 
 from .identified import identify
 from .twin import FREE, cast, make_twin, nominal_sensor
 
 REST = 15
 """Frames at rest that are enough for every verdict."""
-PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
 
 
 @pytest.fixture(scope="module")
@@ -141,19 +138,17 @@ def test_frames_that_are_touched_are_refused(sensor, twin):
 
 def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
     recording, file = record(tmp_path / "press.mcap", twin), sensor.resolve(sensor.file)
-    words = ["check", str(recording), "--sensor", str(file)]
-    told = json.loads(CliRunner().invoke(main, [*words, "--json"]).stdout)
+    words = ("check", recording, "--sensor", file)
+    told = json.loads(output_of(*words, "--json"))
     assert told["verdict"] == "fits" and told["frames"][1] <= FREE
-    lines = CliRunner().invoke(main, words).stdout.splitlines()
+    lines = output_of(*words).splitlines()
     assert lines[0].startswith("fits") and any(line.startswith("depth offset") for line in lines)
-    refused = CliRunner().invoke(main, [*words, "--contact-free", "38:45"])
-    assert refused.exit_code == 2 and "no contact-free frames" in refused.stderr
+    assert "no contact-free frames" in refusal(*words, "--contact-free", "38:45")
 
 
 @pytest.mark.long  # in short: of the twin, above
-@pytest.mark.skipif(not PRESS.exists(), reason="the real recording is not here")
-def test_the_real_press():
-    frames = bv.open(PRESS)
+def test_the_real_press(punyo_press):
+    frames = bv.open(punyo_press)
     rest = [frames[k] for k in range(0, 60, 6)]
     assert bv.check(rest, "punyo_oval_d405").verdict == "fits"
     found = bv.check(with_depth(rest, lambda depth: depth + 1.8e-4), "punyo_oval_d405")

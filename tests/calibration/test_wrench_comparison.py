@@ -1,25 +1,21 @@
 """Estimate against a wrench: known gain, rotation, delay, bias and hysteresis are recovered."""
 
-import csv
 import json
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
 from bubbleviz.calibration import compare_with_wrench
-from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import RecordingWriter
+from tests.program import output_of, refusal, rows_of
 
-PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a"
 GAIN, DELAY_S, BIAS = 0.8, 0.043, np.array([0.4, -0.6, 0.5])
 ROTATION = Rotation.from_euler("xyz", [20.0, -35.0, 50.0], degrees=True)
 
@@ -131,29 +127,23 @@ def recorded(tmp_path_factory):
 
 def test_command_and_files(recorded, tmp_path):
     recording, sensor = recorded
-    words = ["validate", str(recording), "--sensor", str(sensor)]
-    done = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "all"), "--json"])
-    assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
+    words = ("validate", recording, "--sensor", sensor)
+    told = json.loads(output_of(*words, "--out", tmp_path / "all", "--json"))
     assert told["gain"] == pytest.approx(0.5, abs=0.08)  # steps of force
     assert told["bias_n"] == pytest.approx(BIAS, abs=0.1)
     assert json.loads((tmp_path / "all" / "validation.json").read_text()) == told
     assert (tmp_path / "all" / "validation.png").read_bytes().startswith(b"\x89PNG")
-    with (tmp_path / "all" / "validation.csv").open() as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / "all" / "validation.csv")
     assert len(rows) == told["frames"]
     assert float(rows[0]["estimate_z_n"]) == 0.0
-    text = CliRunner().invoke(main, words).stdout
+    text = output_of(*words)
     assert "gain        0." in text and "The sensor file is not changed" in text
-    refused = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "a.xyz")])
-    assert refused.exit_code == 2 and "end it in .png" in refused.stderr
-    refused = CliRunner().invoke(main, [*words, "--wrench", "/nowhere"])
-    assert refused.exit_code == 2 and "/nowhere" in refused.stderr
+    assert "end it in .png" in refusal(*words, "--out", tmp_path / "a.xyz")
+    assert "/nowhere" in refusal(*words, "--wrench", "/nowhere")
 
 
-@pytest.mark.skipif(not PRESS.exists(), reason="the real recording is not here")
-def test_the_real_press():
-    found = bv.validate(PRESS, "punyo_oval_d405", wrench="/wrench").found
+def test_the_real_press(punyo_press):
+    found = bv.validate(punyo_press, "punyo_oval_d405", wrench="/wrench").found
     assert found.presses == 1 and np.isnan(found.hysteresis_n.value)
     assert 0.5 < found.gain.value < 0.75
     assert found.gain.half_width < 0.1

@@ -178,8 +178,15 @@ def test_invalid_numbers_in_a_sensor_file_give_no_traceback(bench, value):
             (bench.folder / name).unlink(missing_ok=True)
 
 
-@pytest.mark.parametrize("zeroed", [(), ("--zero-gas",)])
-@pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-4e3, False), (6e3, True)])
+@pytest.mark.parametrize(
+    ("off_pa", "warned", "zeroed"),
+    [
+        (4e3, False, ()),
+        (-4e3, False, ("--zero-gas",)),
+        (6e3, True, ()),
+        (6e3, True, ("--zero-gas",)),
+    ],
+)
 def test_warning_if_the_gas_pressure_does_not_match_the_sensor(
     tmp_path, sensor, off_pa, warned, zeroed
 ):

@@ -1,7 +1,5 @@
 """MP4 files, read back by ffmpeg."""
 
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import imageio_ffmpeg
@@ -10,6 +8,7 @@ import pytest
 
 from bubbleviz.errors import InputError
 from bubbleviz.output import open_mp4
+from tests.program import python
 
 
 def pictures(count, height, width):
@@ -79,7 +78,7 @@ def test_errors_of_the_encoder_are_quoted(tmp_path):
 
 def test_no_python_runs_between_fork_and_ffmpeg(tmp_path):
     """Python code run there by another thread's factorisation would print a traceback."""
-    words = f"""
+    code = f"""
 import threading
 import numpy as np
 from scipy.sparse import eye_array
@@ -98,5 +97,4 @@ try:
 finally:
     over.set()
 """
-    process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
-    assert (process.returncode, process.stderr) == (0, "")
+    assert python(code) == ""

@@ -195,8 +195,10 @@ def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_f
     assert last.index == frames - 1
 
 
-@pytest.mark.parametrize(("off_pa", "warned"), [(4e3, False), (-6e3, True)])
-@pytest.mark.parametrize("zero", ["--zero", "--no-zero"])
+@pytest.mark.parametrize(
+    ("off_pa", "warned", "zero"),
+    [(4e3, False, "--no-zero"), (-6e3, True, "--zero"), (-6e3, True, "--no-zero")],
+)
 def test_warning_for_a_gas_pressure_beyond_weather(
     tmp_path, small_sensor_file, off_pa, warned, zero
 ):

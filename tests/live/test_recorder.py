@@ -6,7 +6,6 @@ import re
 import signal
 import subprocess
 import sys
-import textwrap
 import time
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
 from bubbleviz.live import Recorder
 from bubbleviz.recordings import MARKERS, Message, Recording
+from tests.program import python
 
 INFO = "sensor_msgs/msg/CameraInfo"
 
@@ -199,13 +199,10 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, 
         status = recorder.stop()
         print(status.messages, status.size_bytes, status.problem)
     """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True
-    )
-    assert "recording stopped (File too large)" in done.stdout, done.stderr
-    told = re.search(r"its first ([0-9.]+) s were saved \((\d+) messages", done.stdout)
+    said = python(code)
+    assert "recording stopped (File too large)" in said
+    told = re.search(r"its first ([0-9.]+) s were saved \((\d+) messages", said)
     assert told is not None
-    assert done.stderr == ""
     with Recording(path) as recording:
         assert 150 < len(recording) < 500
         assert len(recording) == int(told[2])
@@ -213,7 +210,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, 
         np.testing.assert_allclose(
             recording.times_s, np.arange(len(recording)) * PERIOD * 1e-9, atol=1e-6
         )
-    assert path.stat().st_size == int(done.stdout.split()[1])
+    assert path.stat().st_size == int(said.split()[1])
 
 
 def test_failed_replacement_restores_the_earlier_recording(tmp_path, small_sensor_file):
@@ -231,8 +228,5 @@ def test_failed_replacement_restores_the_earlier_recording(tmp_path, small_senso
         except bv.InputError as error:
             print(error)
     """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True
-    )
-    assert "nothing was saved, the earlier recording was restored;" in done.stdout, done.stderr
+    assert "nothing was saved, the earlier recording was restored;" in python(code)
     assert path.read_bytes() == b"an earlier recording"

@@ -1,7 +1,6 @@
 """Files and output of `estimate --shear`."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from tests.program import output_of, refusal, rows_of
 from tests.recordings.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
 from tests.shear.texture_bag import FRAMES, HELD, image, write_texture_press
-
-PRESS = Path(__file__).parents[3] / "shared" / "data" / "punyo_press_a_color"
 
 
 def test_a_result_has_traction_and_slip(tmp_path):
@@ -138,12 +135,13 @@ def test_colour_images_of_another_size_without_camera_info_are_refused(tmp_path)
 
 
 @pytest.mark.long
-@pytest.mark.skipif(not PRESS.exists(), reason="the real press is not part of the repository")
-def test_the_real_press(tmp_path):
+def test_the_real_press(tmp_path, punyo_press_colour):
     """Friction makes the force a tenth larger; no contact before."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     words = ("--shear", "--json", "--out", tmp_path / "r.npz", "--frames", "50:90:3")
-    summary = json.loads(output_of("estimate", PRESS, "--sensor", "punyo_oval_d405", *words))
+    summary = json.loads(
+        output_of("estimate", punyo_press_colour, "--sensor", "punyo_oval_d405", *words)
+    )
     assert set(summary["traction_status"]) == {"no_contact", "ok"}
     with np.load(tmp_path / "r.npz") as result:
         hold = result["frame"] >= 75

@@ -1,8 +1,6 @@
 """The speed study: parts sum to the total; growth and targets on known numbers."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +21,7 @@ from bubbleviz.study.speed import (
     speed_study,
     targets,
 )
+from tests.program import python
 
 
 @pytest.fixture(scope="module")
@@ -87,8 +86,7 @@ def test_peak_memory_sees_what_was_freed_again():
         "    del block\n"
         "print(memory.increase_bytes)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert int(done.stdout) > 100_000_000
+    assert int(python(code)) > 100_000_000
 
 
 def rows_of(sweep, sizes, exponent, solver="paper"):

@@ -1,7 +1,6 @@
 """Worker threads, memory and signals of the window."""
 
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -30,6 +29,7 @@ from bubbleviz_ui.engine.worker import KEYS, Deferred, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
+from tests.program import python
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def test_closing_waits_for_functions_up_to_the_timeout(qtbot):
 
 def test_function_running_after_close_does_not_change_the_exit_code():
     """SciPy factorisations in a thread that is still running would change it (scipy#25404)."""
-    words = """
+    code = """
 import threading
 from PySide6.QtCore import QCoreApplication
 from scipy.sparse import eye_array
@@ -140,8 +140,7 @@ made.wait()
 worker.cancel()
 worker.close(0.01)
 """
-    process = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True)
-    assert (process.returncode, process.stdout, process.stderr) == (0, "(9, 9)\n", "")
+    assert python(code) == "(9, 9)\n"
 
 
 def test_functions_may_end_after_their_window(qtbot):
