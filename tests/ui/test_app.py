@@ -14,7 +14,6 @@ from PySide6.QtWidgets import QApplication
 from window_driver import as_pixels, pressure_coloured, run_python
 
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import run_window, screenshot
 from bubbleviz_ui.engine.source import Source
@@ -183,19 +182,18 @@ def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path)
     assert not QApplication.topLevelWidgets()
 
 
-def test_real_press_shows_contact_at_the_poker(drive, punyo_press):
-    driver = drive(lambda _: Recording(punyo_press), load_sensor("punyo_oval_d405"), frame=75)
-    assert len(driver.pressure_pixels()) > 50
-    driver.seek(10)
-    assert len(driver.pressure_pixels()) == 0
-
-
-def test_recording_of_another_camera_opens_with_its_preset(drive, punyo_press):
+def test_real_press_opens_with_its_preset_and_shows_contact_at_the_poker(drive, punyo_press):
     driver = drive()
     driver.window.open_file(punyo_press)
     driver.wait(lambda: driver.state.facts.frames == 90)
+    driver.state.set_playing(False)
     assert driver.window.controller.sensor.camera.width == 640
-    driver.wait(lambda: driver.result.frame.depth_m.shape == (480, 640))
+    driver.seek(75)
+    assert driver.result.frame.depth_m.shape == (480, 640)
+    assert len(driver.pressure_pixels()) > 50
+    driver.seek(10)
+    assert len(driver.pressure_pixels()) == 0
+    # with the sensor file of another camera
     driver.open("press", Source.of_recording(punyo_press), load_sensor("pico_flexx_75mm"))
     driver.wait_for_message("640×480")
 

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtGui import QColor
 from window_driver import CONTACT, view_texts
@@ -185,13 +184,10 @@ def test_zero_correction_of_a_recording_is_reported(drive, sensor, tmp_path):
         assert "zero" not in gas.toolTip()
 
 
-@pytest.mark.parametrize("shift_m", [0.0, 1e-3])
-def test_depth_that_contradicts_the_sensor_file_is_reported(drive, tmp_path, shift_m):
+def test_depth_that_contradicts_the_sensor_file_is_reported(drive, tmp_path):
     sensor, still = small_sensor(), DentSource(small_sensor())[0]
-    depth = (still.depth_m + shift_m).astype(np.float32)
+    depth = (still.depth_m + 1e-3).astype(np.float32)
     frames = (replace(still, index=k, time_s=k / 30.0, depth_m=depth) for k in range(FRAMES))
     record(tmp_path / "rest.mcap", frames)
     driver = drive(lambda _: Recording(tmp_path / "rest.mcap"), sensor=sensor)
-    message = driver.window.message
-    assert message.isVisible() == (shift_m > 0.0)
-    assert ("does not fit the depth without contact" in message.label.text()) == (shift_m > 0.0)
+    driver.wait_for_message("does not fit the depth without contact")

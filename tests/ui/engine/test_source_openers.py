@@ -123,6 +123,7 @@ def test_ground_truth_of_another_recording_is_refused_and_the_source_stays_open(
     driver.show("threshold")
     driver.drop(files / "what_is_true.npz", files / "sim.mcap", files / "dome.toml")
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    assert driver.window.controller.sensor.file == "dome.toml"
     driver.state.set_playing(False)
     driver.wait(lambda: says_iou(driver))
     # without ground truth there is no IoU until it is opened

@@ -33,14 +33,10 @@ def test_every_shipped_scene_is_covered_by_these_tests():
     assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
 
 
-def test_a_new_window_shows_the_scene_press(drive):
+def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
     assert replace(Settings(), **load_scene("press").settings()) == Settings()
     driver = drive(DentSource, frame=6)
     assert driver.pipeline.counts["cloud"] == 0
-
-
-def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
-    driver = drive(DentSource, frame=6)
     boxes = driver.window.layers.boxes
     for name in sorted(RUNS):
         preset = load_scene(name)

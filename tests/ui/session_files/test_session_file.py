@@ -11,7 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from fakes import DentSource, record, small_sensor
+from fakes import DentSource, record
 from PySide6.QtCore import QPoint
 
 from bubbleviz.errors import InputError
@@ -154,13 +154,6 @@ def test_recent_files_and_reload(drive, files, tmp_path):
     copy.unlink()
     driver.trigger("File › Reload")
     driver.wait_for_message("press.mcap")
-
-
-def test_recording_and_sensor_file_dropped_together(drive, files):
-    driver = drive(sensor=small_sensor("other", nodes=150))
-    driver.drop(files / "press.mcap", files / "dome.toml")
-    driver.wait(lambda: driver.state.facts.frames == FRAMES)
-    driver.wait(lambda: driver.window.controller.sensor.name == "small dome")
 
 
 def test_moved_camera_is_saved_and_an_invalid_session_gives_a_message(drive, tmp_path):

@@ -11,7 +11,7 @@ from bubbleviz_ui.model.settings import Settings
 
 
 def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
-    drive, tmp_path, monkeypatch
+    drive, sensor, tmp_path, monkeypatch
 ):
     driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
     actions = driver.window.shortcuts.actions
@@ -53,22 +53,10 @@ def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
     (tmp_path / "records").rmdir()
     driver.trigger("File › Open recording")
     assert asked[-1] == ("Open recording", "")
-
-
-def test_open_dialog_starts_in_the_folder_of_a_dropped_recording(
-    drive, sensor, tmp_path, monkeypatch
-):
-    driver, begun = drive(), list[str]()
-
-    def asked(parent, title, folder, kinds):
-        begun.append(folder)
-        return [], ""
-
-    monkeypatch.setattr(QFileDialog, "getOpenFileNames", asked)
     driver.drop(record(tmp_path / "press.mcap", DentSource(sensor)))
     driver.wait(lambda: driver.state.facts.title == "press.mcap")
     driver.trigger("File › Open recording")
-    assert begun == [str(tmp_path)]
+    assert asked[-1] == ("Open recording", str(tmp_path))
 
 
 def test_space_plays_after_opening_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
