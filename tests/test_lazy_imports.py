@@ -12,18 +12,18 @@ def printed(code, *arguments):
     return python(code, *arguments).split()
 
 
-WINDOW = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules", "bubbleviz_ui")
-HEAVY = (*WINDOW, "numpy", "scipy", "pydantic", "osqp", "open3d", "rosbags", "matplotlib", "pandas")
+QT = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
+WINDOW = (*QT, "bubbleviz_ui")
+HEAVY = ("numpy", "scipy", "pydantic", "osqp", "open3d", "rosbags", "matplotlib", "pandas")
 MAIN = "import click; from bubbleviz.cli.command_line import main\n"
 HELP = MAIN + "for name in {}: main([name, '--help'], standalone_mode=False)"
 COMMAND = MAIN + "main({!r}.split() + sys.argv[1:], standalone_mode=False)"
 UNUSED = {
-    "the library": ("import bubbleviz", HEAVY),
-    "help": (MAIN + "main(['--help'], standalone_mode=False)", HEAVY),
-    "help of commands without a window": (HELP.format("main.commands"), HEAVY),
+    "the library": ("import bubbleviz", (*HEAVY, *WINDOW)),
+    "help": (MAIN + "main(['--help'], standalone_mode=False)", (*HEAVY, *QT)),
+    "help of commands without a window": (HELP.format("main.commands"), (*HEAVY, *WINDOW)),
     "help of every command": (
-        HELP.format("main.list_commands(click.Context(main))"),
-        (name for name in HEAVY if name != "bubbleviz_ui"),
+        HELP.format("main.list_commands(click.Context(main))"), (*HEAVY, *QT),
     ),
     "a worker, which has to choose its threads first": (
         "import bubbleviz.processes.worker_server", ("numpy",),

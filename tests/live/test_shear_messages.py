@@ -1,11 +1,9 @@
-"""The wrench with friction and slip arrive over Zenoh as simulated."""
+"""Messages of the wrench with friction and of slip, as simulated."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from streams import over_zenoh
 from wire import STORE
 
 from bubbleviz.live import ResultMessages
@@ -36,23 +34,20 @@ def dragged(eyes):
     return second
 
 
-def topics(eyes, result):
-    return {m[0].rsplit("/", 1)[1] for m in ResultMessages(eyes.pipeline.mesh).of(result)}
+def messages(eyes, result):
+    """Messages of a result by the last part of their topic."""
+    return {
+        each.topic.rsplit("/", 1)[1]: STORE.deserialize_cdr(each.payload, each.type)
+        for each in ResultMessages(eyes.pipeline.mesh).of(result)
+    }
 
 
 def vector(of):
     return np.array([of.x, of.y, of.z])
 
 
-def test_a_wrench_and_slip_arrive_over_zenoh(eyes, dragged, eventually):
-    truth = stuck("puck", 0.004, 0.001, 8.0)
-    sent = list(ResultMessages(eyes.pipeline.mesh).of(dragged))
-    found = over_zenoh(sent, 4, eventually)
-    got: dict[str, Any] = {}
-    for key, payload in found.items():
-        _, _, topic, package, _ = key.split("/")
-        kind = package.replace("::msg::dds_::", "/msg/").removesuffix("_")
-        got[topic] = STORE.deserialize_cdr(payload, kind)
+def test_messages_have_wrench_and_slip(eyes, dragged):
+    truth, got = stuck("puck", 0.004, 0.001, 8.0), messages(eyes, dragged)
     assert got.keys() >= SHEAR_TOPICS
     wrench, sigma = (got[name].wrench for name in ("traction_wrench", "traction_wrench_sigma"))
     size = np.linalg.norm(truth.force_n)
@@ -68,7 +63,7 @@ def test_a_wrench_and_slip_arrive_over_zenoh(eyes, dragged, eventually):
 
 
 def test_unknown_results_are_not_published(eyes, dragged):
-    assert topics(eyes, replace(dragged, slip=None)) & SHEAR_TOPICS == {
+    assert messages(eyes, replace(dragged, slip=None)).keys() & SHEAR_TOPICS == {
         "traction_wrench",
         "traction_wrench_sigma",
         "traction_center",
@@ -80,16 +75,12 @@ def test_unknown_results_are_not_published(eyes, dragged):
         replace(dragged, traction=alone),
         replace(dragged, estimate=doubtful),
     ):
-        assert not topics(eyes, result) & SHEAR_TOPICS
+        assert not messages(eyes, result).keys() & SHEAR_TOPICS
 
 
 def test_without_contact_the_wrench_is_zero(eyes):
     result = eyes.pipeline.process(eyes.rest(), SHEAR)
     assert result.traction.status == "no_contact"
-    assert topics(eyes, result) & SHEAR_TOPICS == {"traction_wrench"}
-    (message,) = (
-        STORE.deserialize_cdr(each.payload, each.type)
-        for each in ResultMessages(eyes.pipeline.mesh).of(result)
-        if each.topic.endswith("traction_wrench")
-    )
-    assert not vector(message.wrench.force).any() and not vector(message.wrench.torque).any()
+    assert messages(eyes, result).keys() & SHEAR_TOPICS == {"traction_wrench"}
+    wrench = messages(eyes, result)["traction_wrench"].wrench
+    assert not vector(wrench.force).any() and not vector(wrench.torque).any()
