@@ -58,7 +58,7 @@ class Press:
 @pytest.fixture(scope="module")
 def truth():
     """Sensor, meshes at rest and pressed, and their gas pressures; on a mesh of its own."""
-    cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 1500)
+    cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 900)
     free = RubberMembrane(cap, 0.0, STRETCH**2 * inverse_metric(cap), MU_H)
     rest = replace(cap, nodes=Inflation(free, np.zeros_like(cap.nodes)).at(G))
     membrane = RubberMembrane(rest, G, STRETCH**2 * inverse_metric(cap), MU_H)
