@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
+from bubbleviz.camera import DepthCamera
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation import touching_height
+from bubbleviz.simulation import DepthNoise, touching_height
 from bubbleviz.zeros import zeros_of
 from tests.small_press import changed
 
@@ -27,13 +28,26 @@ def sensor():
 
 
 @cache
+def shown():
+    """The membrane at rest and with a ball in it, without noise; the ball's force."""
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    top = touching_height(load_object("sphere"), poses[0], build_mesh(sensor()))
+    poses[:, 2, 3] = top + 0.02, top - 0.006
+    simulation = bv.simulate(sensor(), "sphere", poses)
+    return [simulation[0], simulation[1]], simulation.truth(1).force_n
+
+
+@cache
 def press(seed):
     """Frames without contact, then of a ball that is held, at 1 % of noise; and its force."""
-    poses = np.tile(np.eye(4), (REST + HELD, 1, 1))
-    top = touching_height(load_object("sphere"), poses[0], build_mesh(sensor()))
-    poses[:, 2, 3] = np.where(np.arange(REST + HELD) < REST, top + 0.02, top - 0.006)
-    simulation = bv.simulate(sensor(), "sphere", poses, noise_relative=0.01, seed=seed)
-    return [simulation[k] for k in range(len(poses))], simulation.truth(REST).force_n
+    camera, noise, frames = DepthCamera.of(sensor().camera), DepthNoise(relative=0.01), []
+    exact, force_n = shown()
+    for k in range(REST + HELD):
+        frame = exact[int(k >= REST)]
+        depth = camera.depth_image(noise.apply(camera.range_image(frame.depth_m), seed, k))
+        noisy = {"index": k, "time_s": k / 30.0, "depth_m": depth.astype(np.float32)}
+        frames.append(replace(frame, **noisy))
+    return frames, force_n
 
 
 def shifted(frame, offset_m, scale=0.0):
