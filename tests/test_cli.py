@@ -11,7 +11,6 @@ import pytest
 from click.testing import CliRunner
 
 import bubbleviz as bv
-from benchmarks.window.__main__ import bench
 from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.live import LiveSession
@@ -164,24 +163,21 @@ def pico_recording(tmp_path):
 
 @pytest.fixture
 def windows(monkeypatch):
-    """What the commands ask of the window and its benchmark, in place of doing it."""
-    import benchmarks.window.replay_rate
+    """What the commands ask of the window, in place of doing it."""
     import bubbleviz_ui.app
 
     asked: list[tuple[str, tuple[object, ...]]] = []
 
-    def record(name, answer):
+    def record(name):
         def asking(sensor, *rest, fresh=False, truth=None, overwrite=False):
             words = (*(("fresh",) if fresh else ()), *((truth,) if truth is not None else ()))
             asked.append((name, (sensor.name, *rest, *words)))
-            return answer
+            return 0
 
         return asking
 
-    monkeypatch.setattr(bubbleviz_ui.app, "run_window", record("window", 0))
-    monkeypatch.setattr(bubbleviz_ui.app, "screenshot", record("screenshot", None))
-    measured = {"median_fps": 31.25, "solve_ms": float("nan")}
-    monkeypatch.setattr(benchmarks.window.replay_rate, "replay_fps", record("bench", measured))
+    monkeypatch.setattr(bubbleviz_ui.app, "run_window", record("window"))
+    monkeypatch.setattr(bubbleviz_ui.app, "screenshot", record("screenshot"))
     return asked
 
 
@@ -260,37 +256,16 @@ def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recor
     assert not windows
 
 
-def test_bench_window(windows, pico_recording):
-    words = ["window", str(pico_recording), "--seconds", "2", "--json"]
-    done = CliRunner().invoke(bench, words)
-    assert json.loads(done.stdout) == {"median_fps": 31.25, "solve_ms": None}
-    done = CliRunner().invoke(bench, ["window", "--synthetic"])
-    assert "31.25" in done.stdout
-    name = "soft-bubble pico flexx"
-    assert windows == [("bench", (name, pico_recording, 2.0)), ("bench", (name, None, 8.0))]
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ([], "Missing command"),
-        (["window"], "either REC or --synthetic"),
-        (["window", "x.mcap", "--synthetic"], "either REC or --synthetic"),
-        (["window", "--synthetic", "--seconds", "0"], "--seconds"),
-    ],
-)
-def test_wrong_usage_of_the_benchmark(windows, words, message):
-    done = CliRunner().invoke(bench, words)
-    assert (done.exit_code, done.stderr.count("\n")) == (2, 1)
-    assert message in done.stderr
-    assert not windows
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["study"], "Missing command; see bubbleviz study --help"),
         (["open", "x.mcap", "--frame", "-1"], "--frame"),
+        # one of recording, source and session
+        (["open"], "--session"),
+        (["open", "rec.mcap", "--source", "synthetic:"], "--source"),
+        (["open", "--source", "synthetic:", "--frame", "0"], "--frame"),
+        (["open", "--session", "dual_nut", "--sensor", "pico_flexx_75mm"], "--sensor"),
     ],
 )
 def test_wrong_usage_of_the_windows_commands(windows, words, message):

@@ -6,12 +6,10 @@ import subprocess
 import sys
 import threading
 import time
-from io import BytesIO
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from mcap.reader import make_reader
 from small_press import HEIGHTS, write_press
 from window_driver import run_python
 
@@ -123,18 +121,3 @@ def test_benchmark_reports_an_unopenable_file_in_one_line(what, tmp_path):
     assert done.exit_code == 2
     [line] = done.stderr.splitlines()
     assert "missing.mcap" in line
-
-
-@pytest.mark.long
-def test_unreadable_frame_ends_the_seek_benchmark(press, tmp_path):
-    recording, sensor = press
-    spoilt, data = tmp_path / "spoilt.mcap", bytearray(recording.read_bytes())
-    summary = make_reader(BytesIO(data)).get_summary()
-    chunk = summary.chunk_indexes[12]  # of frame 12, one of the first
-    end = chunk.chunk_start_offset + chunk.chunk_length
-    data[end - 2_000 : end] = bytes(2_000)
-    spoilt.write_bytes(data)
-    done = bench("seek", spoilt, "--sensor", sensor, "--seeks", "12")
-    assert done.returncode == 2
-    [line] = done.stderr.splitlines()
-    assert "spoilt.mcap: message 12" in line
