@@ -9,6 +9,10 @@ from click.testing import CliRunner
 
 from bubbleviz.cli.command_line import main
 
+MAIN = "from bubbleviz.cli.command_line import main; main()"
+COMMAND = [sys.executable, "-c", MAIN]
+"""The program in a process of its own."""
+
 
 def run(*words, **more):
     """A command, with words of any type: its exit code and what it wrote."""
@@ -36,6 +40,13 @@ def python(code, *words):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, ""), done.stderr
     return done.stdout
+
+
+def start(*words, **more):
+    """A command in a process of its own, while it works."""
+    command = [*COMMAND, *map(str, words)]
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, **more)
 
 
 def rows_of(path):

@@ -5,7 +5,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,16 +22,17 @@ from bubbleviz.api.batching import (
     run_job,
 )
 from bubbleviz.errors import InputError
-from tests.program import output_of, refusal, rows_of
+from tests.program import COMMAND, output_of, python, refusal, rows_of, start
 
-COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()", "batch"]
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
 LONG = 80  # frames
 FILES = {"result.npz", "result.csv", "summary.json"}
 
 
 def batch(*words):
-    return subprocess.run([*COMMAND, *map(str, words)], capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [*COMMAND, "batch", *map(str, words)], capture_output=True, text=True, check=False
+    )
 
 
 def resumed(*words):
@@ -41,15 +41,9 @@ def resumed(*words):
     return {row["recording"]: row["outcome"] for row in rows}
 
 
-def start(*words):
+def begin(*words):
     """The command in a session of its own, as a terminal would have it."""
-    return subprocess.Popen(
-        [*COMMAND, *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
+    return start("batch", *words, start_new_session=True)
 
 
 def table_of(out):
@@ -197,7 +191,7 @@ def test_killed_in_the_middle_then_resumed(
 ):
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "1"]
-    running = start(*words)
+    running = begin(*words)
     # The others are done, the long one has begun.
     eventually(lambda: all((out / name).is_dir() for name in NAMES) and bool(hidden_in(out)))
     os.killpg(running.pid, signal.SIGSTOP)  # else a slow machine might find the long one done
@@ -220,7 +214,7 @@ def test_killed_in_the_middle_then_resumed(
 
 def test_interrupt_leaves_complete_files(recordings, sensor, long_recording, tmp_path, eventually):
     out = tmp_path / "out"
-    running = start(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
+    running = begin(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
     eventually(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
     os.killpg(running.pid, signal.SIGINT)  # as ^C does: everybody gets it
     _, said = running.communicate(timeout=240)
@@ -239,7 +233,7 @@ def test_second_batch_in_the_same_folder_is_refused(
 ):
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out]
-    running = start(*words)
+    running = begin(*words)
     eventually(lambda: bool(hidden_in(out)))
     os.killpg(running.pid, signal.SIGSTOP)  # it cannot end before the other one begins
     done = batch(*words, "--resume")
@@ -276,22 +270,20 @@ def test_crashed_process_loses_only_its_own_recording(
     assert "process ended with code -9" in rows[0].error
 
 
-def test_blas_has_one_thread_in_a_worker(tmp_path):
-    code = (
-        "import os, threading\n"
-        "from bubbleviz.processes import serve\n"
-        "class Pipe:\n"
-        "    def recv(self): raise EOFError\n"
-        "serve(Pipe(), os.getppid(), None)\n"
-        "import numpy as np\n"
-        "a = np.ones((1500, 1500)); a @ a\n"
-        "print(len(os.listdir('/proc/self/task')) - threading.active_count())"
-    )
-    clean = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=clean, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "0"
+def test_blas_has_one_thread_in_a_worker(monkeypatch):
+    code = """
+    import os, threading
+    from bubbleviz.processes import serve
+    class Pipe:
+        def recv(self): raise EOFError
+    serve(Pipe(), os.getppid(), None)
+    import numpy as np
+    a = np.ones((1500, 1500)); a @ a
+    print(len(os.listdir("/proc/self/task")) - threading.active_count())
+    """
+    for name in [each for each in os.environ if each.endswith("_NUM_THREADS")]:
+        monkeypatch.delenv(name)
+    assert python(code).strip() == "0"
 
 
 # -- finding, and refusals ---------------------------------------------------------------------

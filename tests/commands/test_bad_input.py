@@ -1,7 +1,6 @@
 """Bad input: one line that names the file and what is wrong, exit code 2, nothing written."""
 
 import subprocess
-import sys
 import tomllib
 from dataclasses import replace
 
@@ -12,7 +11,7 @@ from small_press import record as record_frames, small_source
 
 from bubbleviz.recordings import Frame, Recording
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
-from tests.program import refusal, run
+from tests.program import COMMAND, refusal, run
 from tests.recordings.bagmaker import START, BagMaker, depth_image
 
 SIZE = (32, 24)
@@ -249,10 +248,7 @@ def test_unreadable_mesh_through_the_real_window_command(bad_dome):
     """In a process of its own: the window's screen is one a process makes once."""
     before = snapshot(bad_dome.folder)
     words = bad_dome.given(COMMANDS["screenshot"])
-    code = "from bubbleviz.cli.command_line import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code, *words], capture_output=True, text=True, check=False
-    )
+    done = subprocess.run([*COMMAND, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1, done.stderr
     assert "dome.ply" in done.stderr

@@ -3,16 +3,14 @@
 import os
 import signal
 import subprocess
-import sys
 
 import psutil
 import pytest
 
 import bubbleviz as bv
-from tests.program import output_of
+from tests.program import COMMAND, output_of
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
 
-COMMAND = [sys.executable, "-c", "from bubbleviz.cli.command_line import main; main()"]
 WRITING = {
     "simulate": "simulate --sensor SENSOR --object sphere --pose POSE --frames 100000 "
     "--out O/r.mcap --truth O/t.npz",

@@ -4,8 +4,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -28,18 +26,7 @@ from bubbleviz.live import (
 )
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor
-from tests.program import output_of, refusal, run
-
-ENTRY = "from bubbleviz.cli.command_line import main; main()"
-
-
-def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-c", ENTRY, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+from tests.program import output_of, refusal, run, start
 
 
 def write_plain(path, frames):
