@@ -8,6 +8,7 @@ import pytest
 from small_press import HEIGHTS
 
 import bubbleviz as bv
+from bubbleviz.zeros import SKIPPED, ZERO_FRAMES
 from tests.small_press import changed
 
 SHAPE = (43, 56)
@@ -94,9 +95,14 @@ def test_covered_camera_gives_a_status_and_no_numbers(estimator):
 def test_gas_pressure_is_zeroed_on_contact_free_images(frames, sensor):
     """Another day's weather, 800 Pa less, is neither contact nor force."""
     estimator, free, pressed = bv.Estimator(sensor), frames[0], frames[2]
-    for _ in range(15):
+    zero = estimator.solver.zeros.gas
+    for _ in range(ZERO_FRAMES):
+        estimator.update(pressed.depth_m, pressed.gas_pressure_pa - 800.0)
+    assert zero.offset_pa is None
+    for _ in range(SKIPPED + ZERO_FRAMES):
         found = estimator.update(free.depth_m, free.gas_pressure_pa - 800.0)
         assert found.status == "no_contact"
+    assert zero.offset_pa == pytest.approx(-800.0, abs=1.0)
     found = estimator.update(pressed.depth_m, pressed.gas_pressure_pa - 800.0)
     expected = bv.estimate([free, pressed], sensor, zero_gas=False)[1]
     np.testing.assert_allclose(found.force_n, expected.force_n, atol=0.02)
