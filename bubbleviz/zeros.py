@@ -255,7 +255,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
         image.take(_solved_alone(rest, pipeline), pipeline)
     image.fixed = True
     pressures = [each.gas_pressure_pa for each in rest]
-    others = (source[k].gas_pressure_pa for k in (0, len(source) // 2))  # it may start late
+    others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
     if all(each is None for each in pressures) and all(each is None for each in others):
         return Zeros(None, image)
     gas = PressureZero(pipeline.model.gas.P0)
@@ -316,6 +316,14 @@ def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray 
         yield None
     known = [force for force in rest if np.isfinite(force).all()]
     yield np.median(known, axis=0) if known else np.full(3, np.nan)
+
+
+def _gas_pressure_pa(source: FrameSource, index: int) -> float | None:
+    """Gas pressure of a frame; None if it was not measured, or the frame cannot be read."""
+    try:
+        return source[index].gas_pressure_pa
+    except InputError:
+        return None
 
 
 def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame | None:

@@ -28,11 +28,11 @@ def left(tmp_path):
         pixels_file="left.npz",
         recording="rest.mcap",
         date="2026-11-20T09:30:00+00:00",
-        tension_interval_n_per_m=(88.0, 92.5),
+        tension_interval_n_per_m=(103.0, 107.5),
         gauge_interval_pa=(2500.0, 2700.0),
         gauge_from="a manometer",
     )
-    air = sensor.pneumatics.model_copy(update={"tension_n_per_m": 90.25})
+    air = sensor.pneumatics.model_copy(update={"tension_n_per_m": 105.25})
     known = sensor.model_copy(update={"calibration": calibration, "pneumatics": air})
     path = tmp_path / "left.toml"
     path.write_text("# by hand\n" + sensor_to_toml(known))
@@ -74,7 +74,7 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     assert panel.name.text() == "left finger" and panel.file.text() == str(left)
     assert panel.camera.text() == "80×60 pixels"
     tension, gauge = panel.rows[TENSION], panel.rows[GAUGE]
-    assert tension.shown.text() == "90.25 N/m" and tension.interval.text() == "88.0 … 92.5 N/m"
+    assert tension.shown.text() == "105.25 N/m" and tension.interval.text() == "103.0 … 107.5 N/m"
     assert gauge.interval.text() == "2500 … 2700 Pa"
     assert panel.rows["membrane.prestretch"].shown.text() == "not in the file"
     assert gauge.interval.toolTip() == "from a manometer"
@@ -93,7 +93,7 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     assert left.read_bytes() == before
     assert bench.panel.rows[TENSION].box.text() == "101.5" and bench.panel.save.isEnabled()
     bench.click(bench.panel.cancel)
-    assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
+    assert bench.panel.rows[TENSION].shown.text() == "105.25 N/m"
     # a copy with another value is saved and used
     bench.click(bench.window.message.dismiss)
     bench.state.change(pressure_unit="kPa", solver=None)
@@ -111,7 +111,7 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     saved = load_sensor(copy)
     assert saved.pneumatics.gauge_pressure_pa == 2610.5 and saved.name == "left finger, edited"
     assert saved.calibration is not None and saved.calibration.gauge_interval_pa is None
-    assert saved.calibration.tension_interval_n_per_m == (88.0, 92.5)
+    assert saved.calibration.tension_interval_n_per_m == (103.0, 107.5)
     assert saved.calibration.pixels_file == "right.npz" and left.read_bytes() == before
     assert "right.toml" in bench.window.windowTitle() and bench.panel.edit.isVisible()
     bench.wait(lambda: bench.panel.identified.text().endswith("UTC, edited since"))
@@ -150,21 +150,21 @@ def test_changed_sensor_file_is_reported_and_reloaded(bench, left):
     message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
     new = left.with_suffix(".new")
-    new.write_text(text.replace("90.25", "91.5"))
+    new.write_text(text.replace("105.25", "106.5"))
     new.replace(left)  # as editors do
     bench.wait(message.isVisible)
     assert f"{left}: has changed on disk" in message.label.text()
     assert message.kind.text() == "Warning"
-    assert bench.panel.rows[TENSION].shown.text() == "90.25 N/m"
+    assert bench.panel.rows[TENSION].shown.text() == "105.25 N/m"
     bench.click(bench.panel.reload)
-    bench.wait(lambda: bench.panel.rows[TENSION].shown.text() == "91.50 N/m")
+    bench.wait(lambda: bench.panel.rows[TENSION].shown.text() == "106.50 N/m")
     assert not message.isVisible() and bench.panel.difference.isHidden()
     left.write_text("nonsense")
     bench.wait(message.isVisible)
     assert "cannot be used" in message.label.text()
     left.unlink()
     bench.wait(lambda: "was removed" in message.label.text())
-    left.write_text(text.replace("90.25", "91.5"))
+    left.write_text(text.replace("105.25", "106.5"))
     bench.wait(lambda: bench.panel.difference.isHidden())
     # so are pixels that change, and the panel fits a small screen
     pixels, dock = left.with_suffix(".npz"), bench.window.panels["sensor"]

@@ -163,7 +163,7 @@ class PressedSpeckles(SpeckledSource):
         frame = super().__getitem__(index)
         if index < len(self) - 1:
             return frame
-        return replace(frame, depth_m=DentSource.__getitem__(self, FIRST_CONTACT + 4).depth_m)
+        return replace(frame, depth_m=DentSource.__getitem__(self, FIRST_CONTACT + 5).depth_m)
 
 
 def test_use_of_colour_is_said_beside_the_force_and_in_compare(drive, rubber):

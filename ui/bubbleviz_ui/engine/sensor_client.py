@@ -177,9 +177,8 @@ class SensorClient(QObject):
         elif not self._state.playing:
             function = partial(self.solver.preview, self._unscaled, self._options)
             take = partial(self._take_extremes, self._unscaled)
-            self.worker.submit(
-                function, take, self._on_unscaled, key="scale", due_s=self._background_s
-            )
+            due_s, failed = self._background_s, self._on_unscaled
+            self.worker.submit(function, take, failed=failed, key="scale", due_s=due_s)
 
     def forget_pose(self) -> None:
         """Remove the pose from the shown result, as another object or initial pose is used."""
