@@ -30,8 +30,9 @@ GAIN = 0.4  # of the integral control of the delay
 MAX_DELAY_S = 0.1  # longer delays are noticeable
 SAMPLED_FRAMES = 16
 """Frames of a recording solved in advance for its scales, while the solver is idle."""
-FIRST_PICTURE_S = 0.5
-"""Time after opening in which the first picture is drawn, which such work would delay."""
+IDLE_S = 0.5
+"""Time without a request after which such work begins, which delays neither the first picture nor
+a seek then."""
 
 
 class RequestDelay:
@@ -119,7 +120,9 @@ class SensorClient(QObject):
 
     def request_frame(self, index: int, demand: Demand, *, new_reference: bool = False) -> None:
         """Request a frame; `new_reference`: search the contact-free colour images again."""
-        self.demand = demand
+        self.demand, self._background_s = demand, time.perf_counter() + IDLE_S
+        if self._unscaled:
+            self._scale_on()
         self.worker.drop("cold_solve")  # of the previous frame
         work = self.frame_job(index, demand, new_reference=new_reference)
         key = "reference" if new_reference else "frame"
@@ -215,7 +218,7 @@ class SensorClient(QObject):
         self.result, self.inspection = opened.result, _inspection(opened.result)
         self._shown_demand = self.demand.without_images()
         self._imaged_frame = opened.result.frame
-        self._background_s = time.perf_counter() + FIRST_PICTURE_S
+        self._background_s = time.perf_counter() + IDLE_S
         self._remember(opened.frame, opened.numbers, self.demand)
         if not opened.facts.grows and opened.result.frame.wrench is not None:
             self.history.wrench_bias_n = np.full(3, np.nan)  # until it is known
