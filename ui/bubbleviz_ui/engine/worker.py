@@ -205,12 +205,12 @@ class Worker(QObject):
             words = f"{type(error).__name__}: {error}".splitlines()[0][:300]
             self._fail(job, words, traceback.format_exc())
         else:
-            if job.key == OPEN:
-                self._running += 1
-                self._ready.emit(partial(self._start_generation, self._running))
+            self._running += job.key == OPEN
             if job in self._wanted:
-                self._ready.emit(partial(self._succeed, job, answer))
+                # in one call: nothing may be submitted between a new source and its result
+                self._ready.emit(partial(self._succeed, job, answer, self._running))
             else:
+                self._ready.emit(partial(self._start_generation, self._running))
                 job.discard(answer)
         finally:
             self._job = None  # it refers to what waits for its result
@@ -252,7 +252,8 @@ class Worker(QObject):
             self._wanted.discard(job)
             job.failed(failed)
 
-    def _succeed(self, job: _Job, answer: Any) -> None:
+    def _succeed(self, job: _Job, answer: Any, generation: int) -> None:
+        self._start_generation(generation)
         if job in self._wanted:
             self._wanted.discard(job)
             job.then(answer)
