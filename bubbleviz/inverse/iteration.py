@@ -330,8 +330,12 @@ class Iteration:
 
     def _friction(self, step: Step) -> tuple[FrictionScale, FrictionScale]:
         """Scales of the prior of slides and spins by a step."""
+        present = self._friction_scales
+        if not len(step.friction[0]):  # no contact, or optical flow sees all
+            known = [FrictionScale(scale, np.zeros((0, 0)), converged=True) for scale in present]
+            return known[0], known[1]
         contact, first = step.contact, len(step.contact.nodes)
-        sigma, present = self._newton.friction, self._friction_scales
+        sigma = self._newton.friction
         slides, spins = (
             friction_scale(
                 contact.amplitudes[own], part(contact.covariance, first + own), sigma, scale

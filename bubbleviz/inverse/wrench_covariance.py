@@ -39,7 +39,7 @@ def wrench_covariance(
     friction : (n,) array
         Prior standard deviation of friction over pressure, where optical flow does not see it.
     spreads : two (q, q) arrays
-        Covariances of slides, and spins, by depth alone, by the scale of their prior.
+        What the unknown scale of their prior adds to the covariances of slides, and of spins.
     """
     if not contact.any():
         return np.zeros((6, 6))

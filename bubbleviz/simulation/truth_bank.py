@@ -86,7 +86,7 @@ class TruthBank:
         stride: int = 1,
         gas_pressure_pa: float | None = None,
     ) -> HeldFrames:
-        """Half a second without contact that ends at 0 s, as `zeros_of` takes it."""
+        """Half a second without contact, ending at 0 s, for `zeros_of`."""
         frames = [
             self.noisy_frame(self.rest_range_m, noise, first + k, stride, gas_pressure_pa)
             for k in range(ZERO_FRAMES)

@@ -31,8 +31,8 @@ MAX_DELAY_S = 0.1  # longer delays are noticeable
 SAMPLED_FRAMES = 16
 """Frames of a recording solved in advance for its scales, while the solver is idle."""
 IDLE_S = 0.5
-"""Time without a request after which such work begins, which delays neither the first picture nor
-a seek then."""
+"""How long after the last request such work begins, so that it delays neither the first picture nor
+a seek."""
 
 
 class RequestDelay:
