@@ -101,9 +101,6 @@ class Estimate:
         Wall time of the solver alone, ms.
     displacement_3d_m : (n, 3) array or None
         Full displacement vector, m.
-    unexplained_pressure_pa : (n,) array or None
-        Pressure too small to be evidence of contact, Pa. It is part of the membrane's equilibrium
-        but not of contact pressure and force.
     nodal_force_n : (n, 3) array or None
         Force of the contact on the nodes, N: p_c on the deformed area vectors (linear membrane:
         those at rest), and friction.
@@ -141,7 +138,6 @@ class Estimate:
     iterations: int = 0
     solve_ms: float = 0.0
     displacement_3d_m: np.ndarray | None = None
-    unexplained_pressure_pa: np.ndarray | None = None
     nodal_force_n: np.ndarray | None = None
     friction_n: np.ndarray | None = None
     force_n: np.ndarray | None = None

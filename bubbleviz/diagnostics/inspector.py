@@ -192,7 +192,6 @@ class Probed:
     # displacement_m, pressure_pa: u and p_c there; NaN without a trusted estimate
     displacement_m: float
     pressure_pa: float
-    unexplained_pa: float  # pressure there without evidence of contact
     residual_m: float  # measured minus modelled range of the pixel; NaN if not computed
 
     @property
@@ -238,13 +237,12 @@ class Probe:
         nodes = mesh.triangles[triangle]
         place = barycentric @ nodes_m[nodes]
 
-        def value(field: np.ndarray | None, otherwise: float) -> float:
-            return otherwise if field is None else float(barycentric @ field[nodes])
+        def value(field: np.ndarray | None) -> float:
+            return np.nan if field is None else float(barycentric @ field[nodes])
 
-        displacement = pressure = unexplained = None
+        displacement = pressure = None
         if (trusted := result.trusted_estimate) is not None:
             displacement, pressure = trusted.displacement_m, trusted.contact_pressure_pa
-            unexplained = trusted.unexplained_pressure_pa
         return Probed(
             pixel=pixel,
             point_m=self._point(pixel, result) if pixel else np.full(3, np.nan),
@@ -253,9 +251,8 @@ class Probe:
             barycentric=barycentric,
             membrane_m=place,
             membrane_pixel=self._projected(place),
-            displacement_m=value(displacement, np.nan),
-            pressure_pa=value(pressure, np.nan),
-            unexplained_pa=value(unexplained, 0.0),
+            displacement_m=value(displacement),
+            pressure_pa=value(pressure),
             residual_m=_residual(pixel, result) if pixel else np.nan,
         )
 

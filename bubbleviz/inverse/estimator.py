@@ -253,15 +253,11 @@ class Estimator:
     def _report(self, answer: SolvedFrame) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
         touching, moved = bool(state.pressure.any()), state.x - self.mesh.nodes
-        unexplained = np.where(answer.contact, 0.0, state.pressure)
-        pressure = state.pressure - unexplained
-        friction = np.where(unexplained[:, None] > 0.0, 0.0, state.friction)
-        force = friction - pressure[:, None] * self.bubble.area_vectors(state.x)
+        force = state.friction - state.pressure[:, None] * self.bubble.area_vectors(state.x)
         return Estimate(
             status="ok" if touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
-            contact_pressure_pa=pressure,
-            unexplained_pressure_pa=unexplained,
+            contact_pressure_pa=state.pressure,
             gas_pressure_change_pa=state.gas,
             residual_rms_m=answer.misfit.rms_m,
             kkt_residual=contact.kkt_residual,
@@ -269,7 +265,7 @@ class Estimator:
             solve_ms=answer.solve_ms,
             displacement_3d_m=moved,
             nodal_force_n=force,
-            friction_n=friction,
+            friction_n=state.friction,
             force_n=force.sum(axis=0),
             wrench_covariance=answer.wrench_covariance,
             gas_law_pa=self.bubble.gas_at(state.x)[0],

@@ -78,17 +78,8 @@ class PaperEstimator(Estimator):
             return no_estimate(mesh, "no_data", STATUS_REASONS["no_data"]), Start()
         ranges = Measurements(self._view.jacobian, error, weight, Nuisances.none(len(mesh.nodes)))
         problem, prior = self._problem(ranges, gas)
-        began, iterations, converged = time.perf_counter(), 0, True
-        pressure = np.zeros(len(mesh.nodes))
-        if not problem.zero_is_optimal():
-            found, first, selected = self._solved(ranges, gas, prior.threshold, ~mesh.rim)
-            slope = (problem.gradient(found) + prior.threshold) / mesh.areas
-            # A first-order iterate is nowhere exactly zero: the support has the nodes whose scaled
-            # pressure exceeds their multiplier.
-            scale = found.max(initial=0.0) / max(float(np.abs(slope).max()), 1e-300)
-            support = found > np.maximum(slope, 0.0) * scale
-            pressure, more, solved = self._solved(ranges, gas, np.zeros_like(found), support)
-            iterations, converged = first + more, selected and solved
+        began = time.perf_counter()
+        pressure, iterations, converged = self._contact_pressure(problem, ranges, gas, prior)
         solve_ms = 1e3 * (time.perf_counter() - began)
         motion, balanced = self._moved(pressure, gas)
         if not (converged and balanced):
@@ -100,17 +91,12 @@ class PaperEstimator(Estimator):
         if doubt := reason_against_fit(misfit, self.observer.white, self.size_m):
             return no_estimate(mesh, "implausible", doubt, misfit.rms_m), Start()
         law = self.bubble.gas_at(mesh.nodes + motion)[0]
-        change = law if gas is None else gas
-        least = self.held_pressure_pa + change
-        touching = parts_with(mesh.rings, pressure >= least, pressure > 0.0)
-        contact = np.where(touching, pressure, 0.0)
-        force = -contact[:, None] * self.bubble.area_vectors(mesh.nodes)
+        force = -pressure[:, None] * self.bubble.area_vectors(mesh.nodes)
         estimate = Estimate(
-            status="ok" if contact.any() else "no_contact",
+            status="ok" if pressure.any() else "no_contact",
             displacement_m=np.einsum("ij,ij->i", motion, mesh.normals),
-            contact_pressure_pa=contact,
-            unexplained_pressure_pa=pressure - contact,
-            gas_pressure_change_pa=change,
+            contact_pressure_pa=pressure,
+            gas_pressure_change_pa=law if gas is None else gas,
             residual_rms_m=misfit.rms_m,
             kkt_residual=problem.kkt_residual(pressure),
             iterations=iterations,
@@ -121,6 +107,28 @@ class PaperEstimator(Estimator):
             gas_law_pa=law,
         )
         return estimate, Start()
+
+    def _contact_pressure(
+        self, problem: ContactProblem, ranges: Measurements, gas: float | None, prior: Prior
+    ) -> tuple[np.ndarray, int, bool]:
+        """Contact pressure (n,), Pa; iterations; whether it converged."""
+        mesh, none, threshold = self.mesh, np.zeros(len(self.mesh.nodes)), prior.threshold
+        if problem.zero_is_optimal():
+            return none, 0, True
+        found, iterations, converged = self._solved(ranges, gas, threshold, ~mesh.rim)
+        slope = (problem.gradient(found) + threshold) / mesh.areas
+        # A first-order iterate is nowhere exactly zero: the support has the nodes whose scaled
+        # pressure exceeds their multiplier.
+        scale = found.max(initial=0.0) / max(float(np.abs(slope).max()), 1e-300)
+        support = found > np.maximum(slope, 0.0) * scale
+        least = self.held_pressure_pa + (gas or 0.0)
+        while converged and support.any():
+            pressure, more, converged = self._solved(ranges, gas, none, support)
+            iterations += more
+            support = parts_with(mesh.rings, pressure >= least, pressure > 0.0)
+            if np.array_equal(support, pressure > 0.0):
+                return pressure, iterations, converged
+        return none, iterations, converged
 
     def _moved(self, pressure: np.ndarray, gas: float | None) -> tuple[np.ndarray, bool]:
         """Motion (n, 3) under a contact pressure, with the exact gas law; whether it converged."""

@@ -21,7 +21,6 @@ once; of frictionless presses by 1.4 % at most."""
 def wrench_covariance(
     bubble: Bubble,
     step: Step,
-    contact: np.ndarray,
     friction: np.ndarray,
     spreads: Sequence[np.ndarray],
 ) -> np.ndarray:
@@ -34,29 +33,27 @@ def wrench_covariance(
     bubble : Bubble
     step : Step
         The last one of the frame.
-    contact : (n,) bool array
-        Nodes whose forces are summed.
     friction : (n,) array
         Prior standard deviation of friction over pressure, where optical flow does not see it.
     spreads : two (q, q) arrays
         What the unknown scale of their prior adds to the covariances of slides, and of spins.
     """
-    if not contact.any():
+    nodes, problem, contact = step.contact.nodes, step.contact.problem, step.contact.pressure > 0.0
+    if not len(nodes):
         return np.zeros((6, 6))
-    nodes, problem = step.contact.nodes, step.contact.problem
     unit = unit_wrenches(bubble, step, contact, nodes)
     by_material = [
         change_by(step, step.measurements.jacobian @ motion) @ unit
         for motion in step.tangent.by_material.T
     ]
     unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
-    push = np.where(contact, step.contact.pressure, 0.0)[:, None]
-    push = push * bubble.area_vectors(step.state.x)
+    push = step.contact.pressure[:, None] * bubble.area_vectors(step.state.x)
     model = _model_covariance(step.state.x, push, unknowns @ unit, friction)
     for own, spread in zip(step.friction, spreads, strict=True):
         model += _by_friction(step, unit, own, spread)
-    around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
-    unit = unit_wrenches(bubble, step, problem.with_neighbours(contact), around)
+    near = problem.with_neighbours(contact)
+    around = np.flatnonzero(near)
+    unit = unit_wrenches(bubble, step, near, around)
     covariance = model + problem.covariance_of(around, unit)
     for change in by_material:
         covariance += np.outer(change, change)

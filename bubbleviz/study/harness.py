@@ -392,8 +392,6 @@ def _linear_equations(
     """Violations of rim, force, balance K u = A (p_v − p_c) and the gas law of Eq. 6."""
     mesh, faults, gas_law = pipeline.mesh, [], pipeline.model.gas.pressure_change
     u, p_v = estimate.displacement_m, estimate.gas_pressure_change_pa
-    unexplained = estimate.unexplained_pressure_pa
-    pressure = estimate.contact_pressure_pa + (0.0 if unexplained is None else unexplained)
     if np.any(u[mesh.rim] != 0.0):
         faults.append("the rim moves")
     force = -(mesh.areas * estimate.contact_pressure_pa) @ mesh.normals
@@ -401,7 +399,7 @@ def _linear_equations(
         faults.append("the force differs from the integral of the pressure")
     elastic = pipeline.model.tension_n_per_m * (cotangent_laplacian(mesh) @ u)[mesh.free]
     gas = p_v * mesh.areas[mesh.free]
-    contact = (mesh.areas * pressure)[mesh.free]
+    contact = (mesh.areas * estimate.contact_pressure_pa)[mesh.free]
     largest = max(float(np.abs(x).max(initial=0.0)) for x in (elastic, gas, contact))
     residual = float(np.abs(elastic - gas + contact).max(initial=0.0))
     if residual > BALANCE * max(largest, 1e-300):
@@ -421,13 +419,13 @@ def _rubber_equations(
     measured_gas: bool,
 ) -> list[str]:
     """Violations of equilibrium, gas law and force, from the membrane's energy and volume alone."""
-    friction, unexplained = estimate.friction_n, estimate.unexplained_pressure_pa
-    if estimate.displacement_3d_m is None or friction is None or unexplained is None:
+    friction = estimate.friction_n
+    if estimate.displacement_3d_m is None or friction is None:
         return []
     rest, gas, gauge = pipeline.mesh.nodes, pipeline.model.gas, membrane.gauge_pressure_pa
     x, p_v = rest + estimate.displacement_3d_m, estimate.gas_pressure_change_pa
     contact = estimate.contact_pressure_pa / gauge
-    inside = 1.0 + p_v / gauge - contact - unexplained / gauge
+    inside = 1.0 + p_v / gauge - contact
     moving = np.isin(np.arange(len(rest)), membrane.moving)[:, None]
     rng, residuals, loads, h = np.random.default_rng(0), [], [], 1e-7
 

@@ -29,8 +29,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
     {
         "membrane": LayerKind(
             "Membrane",
-            "Deformed membrane, coloured by contact pressure p_c; purple: not trusted;\n"
-            "hatched: pressure without evidence of contact, not in the force",
+            "Deformed membrane, coloured by contact pressure p_c; purple: not trusted",
             ESTIMATE,
         ),
         "texture": LayerKind(

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.diagnostics import Probed
 from bubbleviz.live import State
 from bubbleviz.recordings import Gap, TimeAxis, find_gaps
 from bubbleviz.result import Result
@@ -122,10 +121,3 @@ def friction_text(result: Result, units: Units) -> str:
     # an estimated amplitude is never exactly 0
     estimated = friction > 0.0 or not patch.force_n.any()
     return units.force.text(friction if estimated else None)
-
-
-def pressure_text(place: Probed, units: Units) -> str:
-    """Contact pressure at a point, or the pressure there without evidence of contact."""
-    if place.unexplained_pa > place.pressure_pa:  # both between two such nodes
-        return f"{units.pressure.text(place.unexplained_pa)} without evidence of contact"
-    return f"p_c {units.pressure.text(place.pressure_pa)}"

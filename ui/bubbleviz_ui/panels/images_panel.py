@@ -17,7 +17,6 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Part, PlotHost
@@ -358,7 +357,7 @@ def probe_lines(place: Probed | None, units: Units) -> tuple[str, str, str]:
     return (
         f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",
         f"x {x} · y {y} · z {z} {length.symbol}",
-        f"u {length.text(place.displacement_m)} · {pressure_text(place, units)}",
+        f"u {length.text(place.displacement_m)} · p_c {units.pressure.text(place.pressure_pa)}",
     )
 
 

@@ -23,7 +23,6 @@ from bubbleviz_ui.view3d.layer import (
     Layer,
     Picture,
     Surface,
-    draw_hatched,
     draw_in_front,
     light_without_highlights,
     pairs,
@@ -35,8 +34,7 @@ from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, text_at
 class MembraneLayer(Layer):
     """The deformed membrane, coloured by contact pressure, with a colour bar.
 
-    In one colour while the estimate is untrusted; hatched where pressure is not evidence of
-    contact.
+    In one colour while the estimate is untrusted.
     """
 
     name, clipped = "membrane", True
@@ -58,17 +56,12 @@ class MembraneLayer(Layer):
         light_without_highlights(actor)
         actor.prop.interpolation = "Phong"  # by the normals of the mesh
         actor.prop.color = theme.UNTRUSTED  # visible while the estimate is untrusted
-        self._unexplained = pv.Triangle()  # an empty mesh cannot be added
-        self._hatching = self.add(self._unexplained, color=theme.UNTRUSTED, lighting=False)
-        self._hatching.SetPickable(False)
-        draw_in_front(self._hatching, -90.0)
-        draw_hatched(self._hatching)
         self.bar = self._bar = ColourBar(
             canvas.view, self._table, "contact pressure", "pressure_max_pa", upper=True
         )
 
     def draw(self, picture: Picture) -> None:
-        """Update colours, opacity and hatching; the surface itself is shared."""
+        """Update colours and opacity; the surface itself is shared."""
         end_pa, unit = picture.ranges.pressure_pa, self.canvas.units.pressure
         high = self._bar.set_range(end_pa, unit, picture.settings)
         self.actor.mapper.scalar_range = (0.0, high)
@@ -78,11 +71,6 @@ class MembraneLayer(Layer):
         if picture.settings.colour_map != self._map:
             self._map = picture.settings.colour_map
             self._table.values = pressure_colours(self._map)
-        unexplained = None if estimate is None else estimate.unexplained_pressure_pa
-        visible = unexplained is not None and bool(unexplained.any())
-        self._hatching.SetVisibility(visible)
-        if unexplained is not None and visible:
-            self._unexplained.copy_from(self.canvas.surface.triangles_at(unexplained > 0.0))
 
     def set_visible(self, visible: bool) -> None:
         """Show or hide the surface and its bar."""
@@ -329,7 +317,6 @@ MOST = 0.4
 """Share of the view's height above which the details are left out: the panels have them, too."""
 SEPARATOR = "   "
 """Between details, which are wrapped there."""
-HATCHED = "hatched: pressure without evidence of contact, not in the force"
 
 
 OUTDATED_OPACITY = 0.4
@@ -419,10 +406,7 @@ def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
         del parts[1]
     if estimate.flow is not None:
         parts.append("by depth and colour")
-    unexplained = estimate.unexplained_pressure_pa
-    hatched = f"\n{HATCHED}" if unexplained is not None and unexplained.any() else ""
-    force = force_text(result, units, final=final)
-    return f"contact  {force}", f"{SEPARATOR.join(parts)}{hatched}"
+    return f"contact  {force_text(result, units, final=final)}", SEPARATOR.join(parts)
 
 
 def _put(text: Any, size: float, top: float) -> None:

@@ -87,12 +87,6 @@ class Surface:
         self._pressure[:] = self._units.pressure.from_si(1.0) * shape.pressure_pa
         self.poly.Modified()
 
-    def triangles_at(self, nodes: np.ndarray) -> pv.PolyData:
-        """Drawn triangles that have a node in a mask (n,) bool."""
-        assert self._mesh is not None
-        triangles = self._mesh.triangles
-        return pv.PolyData(self._points, cells(triangles[nodes[triangles].any(axis=1)]))
-
     def edge(
         self, estimate: Estimate | None, patch: Patch, levels: tuple[float, ...] = (0.0,)
     ) -> np.ndarray:
@@ -125,10 +119,6 @@ def cells(points: np.ndarray) -> np.ndarray:
 def pairs(count: int) -> np.ndarray:
     """VTK cell array of `count` separate lines, each between two consecutive points."""
     return cells(np.arange(2 * count).reshape(count, 2))
-
-
-PERIOD, STROKE = 8, 3
-"""Period and stroke width of the hatching along a pixel row."""
 
 
 @dataclass(frozen=True)
@@ -217,14 +207,6 @@ def draw_in_front(actor: Any, units: float) -> None:
     mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, units)
     mapper.SetRelativeCoincidentTopologyLineOffsetParameters(0.0, units)
     mapper.SetRelativeCoincidentTopologyPointOffsetParameter(units)
-
-
-def draw_hatched(actor: Any) -> None:
-    """Draw an actor as diagonal hatching with a constant period in screen pixels."""
-    code = f"if (mod(gl_FragCoord.x + gl_FragCoord.y, {PERIOD}.0) >= {STROKE}.0) discard;"
-    light = "//VTK::Light::Impl"
-    shader = actor.GetShaderProperty()
-    shader.AddFragmentShaderReplacement(light, True, f"{code}\n{light}", False)
 
 
 def light_without_highlights(actor: Any) -> None:

@@ -13,7 +13,6 @@ from vtkmodules.vtkRenderingCore import vtkTextActor
 
 from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.model.settings import Settings
-from bubbleviz_ui.model.source_facts import pressure_text
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import ENTRIES, rgb
@@ -108,7 +107,7 @@ class AnchoredText:
 def probe_text(place: Probed, units: Units) -> str:
     """Lines about a probed place; the residual only if known."""
     lines = [
-        pressure_text(place, units),
+        f"p_c {units.pressure.text(place.pressure_pa)}",
         f"u {units.length.text(place.displacement_m)}",
         f"residual {units.fine_length.text(place.residual_m)}",
         f"node {place.node}",
