@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import DepthCamera, MembraneView, RayCaster, range_jacobian
+from bubbleviz.camera import DepthCamera, MembraneView, RayCaster
 from bubbleviz.membrane import MembraneMesh, cotangent_laplacian, symmetric_lu
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
@@ -88,9 +88,9 @@ def fit_free_form(
     for k in range(_RELINEARISATIONS):
         nodes = start.nodes + correction[:, None] * arms
         triangle = caster.first(nodes, pixels, triangle)
-        hits = caster.met(nodes, arms, triangle, pixels)
+        hits = caster.hits_on(nodes, triangle, pixels)
         hit = np.searchsorted(pixels, hits.ray)
-        D = range_jacobian(hits, start.triangles, len(nodes))
+        D = caster.jacobian(nodes, hits, arms)
         residual = range_m.ravel()[hits.ray] - hits.range_m
         target = residual + D @ correction
         about = residual - np.median(residual)

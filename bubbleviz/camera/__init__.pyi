@@ -44,5 +44,4 @@ from .pixel_model import (
 from .raycast import (
     MembraneView as MembraneView,
     RayCaster as RayCaster,
-    range_jacobian as range_jacobian,
 )

@@ -98,7 +98,7 @@ class FlowObserver:
     ) -> None:
         self._camera, self._mesh = camera, mesh
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
-        hits = caster.cast(mesh.nodes, mesh.normals)
+        hits = caster.cast(mesh.nodes)
         if not len(hits.ray):
             raise InputError(
                 "colour camera: no pixel sees the membrane; check the poses of the colour camera "

@@ -150,7 +150,7 @@ class RangeObserver:
         self._facet_error_m = facet_error(mesh)
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
-        self._group(caster.met(mesh.nodes, mesh.normals, seen), noise_relative, pixels)
+        self._group(caster.hits_on(mesh.nodes, seen), noise_relative, pixels)
         # Straight from the image to sums over blocks: one pass over the pixels.
         starts = np.append(self._starts, len(self.pixel))
         self._to_moments = sparse.csr_array(
@@ -216,7 +216,7 @@ class RangeObserver:
         self._walk_m = _MAX_WALK * mesh.edge_length
         columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
         self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
-        at_rest = self._caster.cast(mesh.nodes, mesh.normals)
+        at_rest = self._caster.cast(mesh.nodes)
         self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
         # (B, 4), errors of the block ranges under a unit of each of `IMAGE_ERRORS`, 0 for blocks
@@ -393,10 +393,10 @@ class RangeObserver:
         if last is not None and np.array_equal(nodes, last.nodes_m):
             return last
         if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
-            cast_at, hits = last.cast_at_m, self._caster.recast(nodes, self.mesh.normals, last.hits)
+            cast_at, hits = last.cast_at_m, self._caster.recast(nodes, last.hits)
         else:
             cast_at = nodes
-            hits = self._visible_at_rest(self._caster.cast(nodes, self.mesh.normals))
+            hits = self._visible_at_rest(self._caster.cast(nodes))
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
         slopes = self._caster.slopes(nodes, hits)

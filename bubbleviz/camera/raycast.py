@@ -42,10 +42,6 @@ class Hits:
     triangle: np.ndarray  # (k,) int, triangle it hits
     barycentric: np.ndarray  # (k, 3), coordinates of the hit on that triangle
     range_m: np.ndarray  # (k,), distance from the origin along the unit ray, m
-    # (k, 3), ∂(range)/∂u of the triangle's three nodes for motion along their reference normals:
-    # b_i (n_i·m)/(r̂·m) with the facet's unit normal m. Eq. 19 has b_i (r̂·n̂) instead, which is
-    # the projection of the motion on the ray and not the derivative of the range.
-    sensitivity: np.ndarray
 
     def of(self, some: np.ndarray) -> Hits:
         """Hits number `some` (j,)."""
@@ -54,17 +50,16 @@ class Hits:
 
 class _Facets(NamedTuple):
     faces: np.ndarray  # (m, 3, 3), cross products of the corners, opposite each corner
-    facing: np.ndarray  # (m, 3), node normals times the facet's vector
-    offset: np.ndarray  # (m,), distance of its plane times the length of that vector
+    facet: np.ndarray  # (m, 3), their sum, twice the area vector
+    offset: np.ndarray  # (m,), distance of the facet's plane times the length of that vector
 
     @classmethod
-    def of(cls, local: np.ndarray, normals: np.ndarray, triangles: np.ndarray) -> _Facets:
+    def of(cls, local: np.ndarray, triangles: np.ndarray) -> _Facets:
         """Of triangles (m, 3) between nodes (n, 3) from the origin."""
         # r̂·(b×c) and its turns are the barycentric coordinates up to their sum, r̂·facet.
         faces = faces_from(local, triangles)
         facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
-        facing = np.einsum("mkj,mj->mk", normals[triangles], facet)
-        return cls(faces, facing, np.einsum("mj,mj->m", local[triangles[:, 0]], facet))
+        return cls(faces, facet, np.einsum("mj,mj->m", local[triangles[:, 0]], facet))
 
 
 class RayCaster:
@@ -91,24 +86,17 @@ class RayCaster:
     def cast(
         self,
         nodes: np.ndarray,  # (n, 3), current node positions in B, m
-        normals: np.ndarray,  # (n, 3), reference node normals, the directions in which nodes move
         rays: np.ndarray | None = None,  # (j,) int
     ) -> Hits:
         """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`."""
-        return self.met(nodes, normals, self.first(nodes, rays), rays)
+        return self.hits_on(nodes, self.first(nodes, rays), rays)
 
-    def met(
-        self,
-        nodes: np.ndarray,
-        normals: np.ndarray,
-        first: np.ndarray,
-        rays: np.ndarray | None = None,
-    ) -> Hits:
-        """The same where the triangle that each ray meets is known: `first`."""
+    def hits_on(self, nodes: np.ndarray, first: np.ndarray, rays: np.ndarray | None = None) -> Hits:
+        """As `cast`, for rays whose triangles are known, as of `first`; −1: no hit."""
         hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found
-        return self._hits_on_planes(self._facets(nodes, normals), ray, first[hit])
+        return self._hits_on_planes(self._facets(nodes), ray, first[hit])
 
     def first(
         self,
@@ -172,12 +160,9 @@ class RayCaster:
         (j,) array
             m; NaN where there is no triangle, and where the ray leaves the mesh.
         """
-        local = nodes - self.origin
-        faces = faces_from(local, self.triangles)
+        faces, facet, offset = self._facets(nodes)
         single = faces.astype(np.float32)
         there, arrived = self._walked(single, self._rays[rays, 3:], triangle, _LONG_WALK)
-        facet = faces[:, 0] + faces[:, 1] + faces[:, 2]
-        offset = np.einsum("mj,mj->m", local[self.triangles[:, 0]], facet)
         along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
         return np.where(arrived, offset[there] / along, np.nan)
 
@@ -209,12 +194,12 @@ class RayCaster:
     def _across(self) -> np.ndarray:
         return triangles_across(self.triangles)
 
-    def recast(self, nodes: np.ndarray, normals: np.ndarray, hits: Hits) -> Hits:
+    def recast(self, nodes: np.ndarray, hits: Hits) -> Hits:
         """Hits of the same rays after a small motion of the nodes: each walks to its triangle.
 
         After `_WALK` triangles, the plane of the last one is hit.
         """
-        facets = self._facets(nodes, normals)
+        facets = self._facets(nodes)
         single = facets.faces.astype(np.float32)
         there, _ = self._walked(single, self._rays[hits.ray, 3:], hits.triangle, _WALK)
         return self._hits_on_planes(facets, hits.ray, there)
@@ -225,8 +210,24 @@ class RayCaster:
         along = np.einsum("ij,ij->i", facet, self.directions[hits.ray])
         return facet / along[:, None]
 
-    def _facets(self, nodes: np.ndarray, normals: np.ndarray) -> _Facets:
-        return _Facets.of(nodes - self.origin, normals, self.triangles)
+    def jacobian(self, nodes: np.ndarray, hits: Hits, directions: np.ndarray) -> sparse.csr_array:
+        """D of Eq. 20: derivative of the ranges by motions of the nodes along directions (n, 3).
+
+        Its coefficients are b_i (n_i·m)/(r̂·m) with the facet's unit normal m. Eq. 19 has b_i (r̂·n̂)
+        instead, the projection of the motion on the ray, which is not the derivative of the range.
+
+        Returns
+        -------
+        (k, n) sparse array
+        """
+        corners = self.triangles[hits.triangle]
+        along = np.einsum("kij,kj->ki", directions[corners], self.slopes(nodes, hits))
+        starts = np.arange(0, corners.size + 1, 3)
+        values = (hits.barycentric * along).ravel()
+        return sparse.csr_array((values, corners.ravel(), starts), (len(corners), len(nodes)))
+
+    def _facets(self, nodes: np.ndarray) -> _Facets:
+        return _Facets.of(nodes - self.origin, self.triangles)
 
     def _hits_on_planes(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
         """Hits of rays (k,) on the planes of triangles (k,)."""
@@ -234,8 +235,7 @@ class RayCaster:
         volumes = np.einsum("rkj,rj->rk", faces, self.directions.take(ray, axis=0))
         along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
         barycentric = volumes / along[:, None]
-        sensitivity = barycentric * facets.facing.take(triangle, axis=0) / along[:, None]
-        return Hits(ray, triangle, barycentric, facets.offset[triangle] / along, sensitivity)
+        return Hits(ray, triangle, barycentric, facets.offset[triangle] / along)
 
 
 # The membrane as the camera sees it, at full resolution.
@@ -254,7 +254,7 @@ class MembraneView:
 
     def hits(self, displacement_m: np.ndarray, pixels: np.ndarray | None = None) -> Hits:
         """Where the rays of all pixels, or of those with flat indices (k,), meet the membrane."""
-        return self._caster.cast(self.mesh.deformed(displacement_m), self.mesh.normals, pixels)
+        return self._caster.cast(self.mesh.deformed(displacement_m), pixels)
 
     @cached_property
     def at_rest(self) -> np.ndarray:
@@ -353,13 +353,3 @@ def _fill(
         for column in (left, right)
     )
     box |= np.cumsum(starts - stops).reshape(-1, wide)[:, :-1] > 0
-
-
-# The operator D of Eq. 20 as a sparse matrix.
-
-
-def range_jacobian(hits: Hits, triangles: np.ndarray, nodes: int) -> sparse.csr_array:
-    """D, k×n: derivative of the ranges with respect to the nodal displacements (Eq. 20)."""
-    values, columns = hits.sensitivity, triangles[hits.triangle]
-    starts = np.arange(0, 3 * len(values) + 1, 3)
-    return sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=(len(values), nodes))

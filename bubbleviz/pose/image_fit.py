@@ -70,7 +70,7 @@ class ImageFit:
         self._directions = camera.directions[observer.pixel]
         mesh = pressed.mesh
         caster = RayCaster(camera.center, self._directions, mesh.triangles)
-        at_rest = caster.cast(mesh.nodes, mesh.normals)
+        at_rest = caster.cast(mesh.nodes)
         self._rest_m = np.full(len(observer.pixel), np.nan)
         self._rest_m[at_rest.ray] = at_rest.range_m
         self._places = camera.center + self._rest_m[:, None] * self._directions
@@ -191,7 +191,7 @@ class ImageFit:
         pixel = pixel[::every]
         rays = self._directions[pixel]
         caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
-        hits = caster.cast(press.nodes, mesh.normals)
+        hits = caster.cast(press.nodes)
         pixel, rays = pixel[hits.ray], rays[hits.ray]
         corners = mesh.triangles[hits.triangle]
         vectors = area_vectors(press.nodes, mesh.triangles)

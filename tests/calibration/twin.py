@@ -114,7 +114,7 @@ def bumpy(mesh):
 
 def cast(mesh, camera, displacement):
     caster = RayCaster(camera.center, camera.directions, mesh.triangles)
-    hits = caster.cast(mesh.deformed(displacement), mesh.normals)
+    hits = caster.cast(mesh.deformed(displacement))
     image = np.full((camera.intrinsics.height, camera.intrinsics.width), np.nan)
     image.ravel()[hits.ray] = hits.range_m
     return image

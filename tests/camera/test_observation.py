@@ -13,7 +13,6 @@ from bubbleviz.camera import (
     RangeObserver,
     RayCaster,
     facet_error,
-    range_jacobian,
 )
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
@@ -36,9 +35,11 @@ def at(observer, displacement):
     return observer.around(MESH.deformed(displacement)).model_m
 
 
+CASTER = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
+
+
 def cast(displacement):
-    caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
-    return caster.cast(MESH.deformed(displacement), MESH.normals)
+    return CASTER.cast(MESH.deformed(displacement))
 
 
 def test_rays_hit_the_sphere_at_the_analytic_points():
@@ -56,10 +57,9 @@ def test_rays_hit_the_sphere_at_the_analytic_points():
 @pytest.mark.parametrize("depth_m", [0.0, 0.004, 0.012])
 def test_walking_and_ray_casting_find_the_same_triangles(depth_m):
     """After a motion of a share of an edge, and from one triangle to the next but one."""
-    caster = RayCaster(CAMERA.center, CAMERA.directions, MESH.triangles)
-    old = caster.cast(MESH.deformed(smooth_dent(depth_m)), MESH.normals)
+    old = cast(smooth_dent(depth_m))
     nodes = MESH.deformed(smooth_dent(depth_m + 0.5 * MESH.edge_length))
-    fresh, walked = caster.cast(nodes, MESH.normals), caster.recast(nodes, MESH.normals, old)
+    fresh, walked = CASTER.cast(nodes), CASTER.recast(nodes, old)
     both, a, b = np.intersect1d(fresh.ray, walked.ray, return_indices=True)
     assert len(both) > 0.999 * len(fresh.ray)
     assert np.mean(fresh.triangle[a] != old.triangle[b]) > 0.002  # or there was nothing to walk
@@ -89,7 +89,7 @@ def test_the_operators_reproduce_points_and_differences():
 
     points = CAMERA.center + hits.range_m[:, None] * CAMERA.directions[hits.ray]
     assert interpolated(MESH.deformed(base)) == pytest.approx(points, abs=1e-6)
-    D = range_jacobian(hits, MESH.triangles, len(MESH.nodes))
+    D = CASTER.jacobian(MESH.deformed(base), hits, MESH.normals)
     rng = np.random.default_rng(0)
     step = np.where(MESH.rim, 0.0, 1e-7 * rng.standard_normal(len(MESH.nodes)))
     there, back = cast(base + step), cast(base - step)
