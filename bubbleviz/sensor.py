@@ -10,7 +10,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    field_validator,
+    model_validator,
+)
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
@@ -32,8 +39,18 @@ MIN_NOISE = 1e-6
 """Smallest relative noise: 0.1 µm at 100 mm, a thousandth of what depth cameras resolve."""
 
 Vector3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]
 
+
+def _of_unit_length(quaternion: tuple[float, ...]) -> tuple[float, ...]:
+    if not is_unit(quaternion):
+        raise ValueError("it is not of unit length; divide it by its length")
+    return quaternion
+
+
+UnitQuaternion = Annotated[tuple[float, float, float, float], AfterValidator(_of_unit_length)]
+ColourDelay = Annotated[float, Field(ge=-MAX_COLOUR_DELAY_S, le=MAX_COLOUR_DELAY_S)]
+"""Stamp of a colour image minus that of the depth image of the same scene, s; negative if colour
+leads depth, as with depth cameras that filter in time."""
 
 WEATHER_SIGMA_PA = 2e3 / 1.96
 """σ of the atmospheric pressure at one place, Pa: 95 % of the weather is within ±2 kPa."""
@@ -43,11 +60,13 @@ ATMOSPHERES = 30e3, 120e3
 """Plausible atmospheric pressures, Pa: from the highest mountain to a pressurised cabin."""
 
 
-class _Section(BaseModel):
+class Section(BaseModel):
+    """Table of a TOML file; unknown keys are errors."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
-class Membrane(_Section):
+class Membrane(Section):
     """Reference surface S0 of the membrane, in the bubble frame B."""
 
     shape: Literal["spherical_cap", "ellipsoidal_cap", "mesh"] = "spherical_cap"
@@ -72,7 +91,7 @@ class Membrane(_Section):
         return self
 
 
-class Pneumatics(_Section):
+class Pneumatics(Section):
     """The gas behind the membrane and the tension in it."""
 
     gauge_pressure_pa: float = Field(ge=50.0, le=100e3)
@@ -92,8 +111,8 @@ class Pneumatics(_Section):
         return self.atmospheric_pressure_pa + self.gauge_pressure_pa
 
 
-class Camera(_Section):
-    """Depth camera: intrinsics in pixels and pose T_B_C in the bubble frame."""
+class Lens(Section):
+    """Intrinsics of a camera, pixels."""
 
     width: int = Field(ge=1, le=10_000)
     height: int = Field(ge=1, le=10_000)
@@ -105,22 +124,22 @@ class Camera(_Section):
     distortion: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
         default=(), max_length=14
     )
-    position_m: Vector3
-    quaternion_xyzw: Quaternion = (0.0, 0.0, 0.0, 1.0)
-    noise_relative: float = Field(default=0.01, ge=MIN_NOISE, lt=1.0)
-    colour_delay_s: float = Field(default=0.0, ge=-MAX_COLOUR_DELAY_S, le=MAX_COLOUR_DELAY_S)
-    """Stamp of a colour image minus that of the depth image of the same scene, s; negative if
-    colour leads depth, as with depth cameras that filter in time."""
 
-    @model_validator(mode="after")
-    def _plausible_pose(self) -> Camera:
-        if any(abs(x) > 2.0 for x in self.position_m):
-            raise ValueError(
-                "position_m is more than 2 m from the bubble; give metres, not millimetres"
-            )
-        if not is_unit(self.quaternion_xyzw):
-            raise ValueError("quaternion_xyzw is not of unit length; divide it by its length")
-        return self
+
+class Camera(Lens):
+    """Depth camera, with its pose T_B_C in the bubble frame."""
+
+    position_m: Vector3
+    quaternion_xyzw: UnitQuaternion = (0.0, 0.0, 0.0, 1.0)
+    noise_relative: float = Field(default=0.01, ge=MIN_NOISE, lt=1.0)
+    colour_delay_s: ColourDelay = 0.0
+
+    @field_validator("position_m")
+    @classmethod
+    def _is_plausible(cls, position_m: Vector3) -> Vector3:
+        if any(abs(x) > 2.0 for x in position_m):
+            raise ValueError("it is more than 2 m from the bubble; give metres, not millimetres")
+        return position_m
 
     @property
     def T_B_C(self) -> np.ndarray:
@@ -128,7 +147,7 @@ class Camera(_Section):
         return transform(self.position_m, self.quaternion_xyzw)
 
 
-class Calibration(_Section):
+class Calibration(Section):
     """Calibration of this sensor from contact-free frames."""
 
     pixels_file: str
@@ -149,7 +168,7 @@ class Calibration(_Section):
     """Keys of values changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
 
-class Sensor(_Section):
+class Sensor(Section):
     """One Soft-bubble sensor as described by its file.
 
     Relative file names refer to `folder`; `file` is the file's name there, empty for a sensor

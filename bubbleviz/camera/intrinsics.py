@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -146,17 +146,8 @@ class DepthCamera:
     @classmethod
     def of(cls, camera: Camera, intrinsics: Intrinsics | None = None) -> DepthCamera:
         """Camera of a sensor file, with a recording's intrinsics where it has them."""
-        own = Intrinsics(
-            camera.width,
-            camera.height,
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
-            camera.distortion_model,
-            tuple(camera.distortion),
-        )
-        return cls(intrinsics or own, camera.T_B_C)
+        own = {each.name: getattr(camera, each.name) for each in fields(Intrinsics)}
+        return cls(intrinsics or Intrinsics(**own), camera.T_B_C)
 
     @property
     def center(self) -> np.ndarray:

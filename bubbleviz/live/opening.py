@@ -6,17 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field
 
 from bubbleviz.camera import DepthCamera
 from bubbleviz.files import (
-    MAX_COLOUR_DELAY_S,
     SYNTHETIC_SENSOR,
     checked,
-    is_unit,
     named_file,
     presets_folder,
     read_toml,
@@ -30,7 +28,15 @@ from bubbleviz.live.replay import FramesLive, Replay
 from bubbleviz.live.topic_names import TopicNames
 from bubbleviz.plugins import plugin
 from bubbleviz.recordings import AUTO, FrameMessages, preset_of_size
-from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
+from bubbleviz.sensor import (
+    ColourDelay,
+    Section,
+    Sensor,
+    UnitQuaternion,
+    Vector3,
+    load_sensor,
+    with_colour_delay,
+)
 from bubbleviz.zeros import PressureZero
 
 FIRST_MESSAGE_S = 10.0
@@ -159,34 +165,19 @@ def sensor_for_source(
 # Session presets: which sensors are shown at once, and where they are in the world.
 
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class SensorPlace(_Strict):
+class SensorPlace(Section):
     """One sensor of a session."""
 
     name: str = Field(min_length=1)  # also what its topics begin with
     sensor: str  # sensor file or preset
     source: str  # as `--source`
     # position_m, quaternion_xyzw: T_W_B
-    position_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
-    quaternion_xyzw: tuple[Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 1.0)
+    position_m: Vector3 = (0.0, 0.0, 0.0)
+    quaternion_xyzw: UnitQuaternion = (0.0, 0.0, 0.0, 1.0)
     # of what is drawn of it, as #rrggbb
     colour: str = Field(default="#4f8fd0", pattern="^#[0-9a-fA-F]{6}$")
     # in place of the sensor file's `camera.colour_delay_s`
-    colour_delay_s: float | None = Field(
-        default=None, ge=-MAX_COLOUR_DELAY_S, le=MAX_COLOUR_DELAY_S
-    )
-
-    @model_validator(mode="after")
-    def _unit(self) -> SensorPlace:
-        if not is_unit(self.quaternion_xyzw):
-            raise ValueError("quaternion_xyzw is not of unit length; divide it by its length")
-        return self
+    colour_delay_s: ColourDelay | None = None
 
     @property
     def T_W_B(self) -> np.ndarray:
@@ -194,7 +185,7 @@ class SensorPlace(_Strict):
         return transform(self.position_m, self.quaternion_xyzw)
 
 
-class SessionPreset(_Strict):
+class SessionPreset(Section):
     """A session file: one or two sensors."""
 
     schema_version: Literal[1] = 1

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from pydantic import BaseModel, PositiveFloat, PositiveInt
+from pydantic import ConfigDict
 
-from bubbleviz.camera import MAX_SIDE, ColourImage, DistortionModel, EncodedImage, Intrinsics
+from bubbleviz.camera import MAX_SIDE, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error, checked, read_npy, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
@@ -23,6 +23,7 @@ from bubbleviz.recordings.frame import Frame, usual_step
 from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, metres, project_points
 from bubbleviz.recordings.recorded_colour import ColourAround
 from bubbleviz.recordings.time_series import Moment, Series, values_at
+from bubbleviz.sensor import Lens
 from bubbleviz.wording import count_of
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
@@ -259,7 +260,7 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
     else:
         table = read_toml(path)
     camera = table.get("camera", table) if isinstance(table, dict) else table
-    return Intrinsics(**checked(_Camera, camera, path, "intrinsics").model_dump())
+    return Intrinsics(**checked(_Lens, camera, path, "intrinsics").model_dump())
 
 
 def read_times(path: str | Path) -> np.ndarray:
@@ -287,15 +288,8 @@ def read_wrench(path: str | Path) -> Series[np.ndarray]:
     return _measured(path, _columns(path, 7))
 
 
-class _Camera(BaseModel):
-    width: PositiveInt
-    height: PositiveInt
-    fx: PositiveFloat
-    fy: PositiveFloat
-    cx: float
-    cy: float
-    distortion_model: DistortionModel = "none"
-    distortion: tuple[float, ...] = ()
+class _Lens(Lens):
+    model_config = ConfigDict(extra="ignore")  # other keys of a sensor file
 
 
 def _measured(path: str | Path, table: np.ndarray) -> Series[np.ndarray]:
