@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 
 def count_of(number: int, noun: str) -> str:
     """`1 file`, `2 files`: for nouns whose plural ends in s."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def counted(numbers: Mapping[str, int]) -> str:
+    """Numbers by name as text: `3 ok, 1 no_contact`."""
+    return ", ".join(f"{number} {name}" for name, number in numbers.items())
 
 
 def decimals_of(half_width: float, most: int) -> int:

@@ -418,9 +418,8 @@ def _new_run(
 
 
 def _add_warnings(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:
-    note = frames.source.bag.note if isinstance(frames.source, Recording) else ""
-    parts = filter(None, (note, *warnings, solver.drift_warning(), solver.friction_warning()))
-    run.context["warning"] = "; ".join(parts) or None
+    parts = frames.note, *warnings, solver.drift_warning(), solver.friction_warning()
+    run.context["warning"] = "; ".join(filter(None, parts)) or None
 
 
 def _check_any_data(run: Run, any_depth: bool) -> None:

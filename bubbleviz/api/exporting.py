@@ -22,7 +22,7 @@ from bubbleviz.files import refuse_input, whole_file
 from bubbleviz.output import ExportPlan, read_poses
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, Recording
+from bubbleviz.recordings import AUTO
 from bubbleviz.wording import count_of
 from bubbleviz.zeros import zeros_of
 
@@ -101,8 +101,7 @@ def export(
             watch_texture(chosen, pipeline)
         besides = SHEAR if shear else frozenset()
         summary = export_frames(chosen, pipeline, options, plan, progress, besides)
-    note = chosen.source.bag.note if isinstance(chosen.source, Recording) else ""
-    return replace(summary, warning=note or None)
+    return replace(summary, warning=chosen.note or None)
 
 
 def export_frames(

@@ -44,6 +44,8 @@ class Frames(Sequence[Frame]):
         Of the source.
     path : Path or None
         Of the source, if it is a file.
+    note : str
+        Missing parts of a recording and other warnings; empty for none.
     """
 
     def __init__(self, source: FrameSource, chosen: range | None = None) -> None:
@@ -51,6 +53,7 @@ class Frames(Sequence[Frame]):
         self.chosen = range(len(source)) if chosen is None else chosen
         self.name = source.name
         self.path: Path | None = getattr(source, "path", None)
+        self.note: str = getattr(source, "note", "")
 
     def __len__(self) -> int:
         """Count the frames."""
@@ -321,7 +324,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
         wrench=source.has_wrench,
         colour=ColourInfo.of(source),
         bad_frames=source.bad_frames,
-        note=source.bag.note,
+        note=source.note,
     )
 
 

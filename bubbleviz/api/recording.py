@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, Any
 
 from tqdm import tqdm
 
-from bubbleviz.api.summary import Summary, counted
+from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, restore_on_error
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.wording import count_of
+from bubbleviz.wording import count_of, counted
 
 if TYPE_CHECKING:
     from bubbleviz.live import OfferedTopic, SessionOptions, ZenohPublisher

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self, overload
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bubbleviz.api.summary import Summary, counted
+from bubbleviz.api.summary import Summary
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
@@ -54,7 +54,7 @@ from bubbleviz.output import (
 from bubbleviz.result import TRUSTED, Estimate, Patch, Pose, Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.wording import count_of, how_to_install
+from bubbleviz.wording import count_of, counted, how_to_install
 
 if TYPE_CHECKING:
     import pandas

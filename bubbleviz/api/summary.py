@@ -26,8 +26,3 @@ class Summary(ABC):
     @abstractmethod
     def to_text(self) -> str:
         """Text for the terminal, with units."""
-
-
-def counted(status: dict[str, int]) -> str:
-    """Counts by name as text: `3 ok, 1 no_contact`."""
-    return ", ".join(f"{count} {name}" for name, count in status.items())

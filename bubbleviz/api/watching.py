@@ -19,7 +19,7 @@ from bubbleviz.api.connecting import sensor_of
 from bubbleviz.api.estimator import Estimator, FrameSolver
 from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
-from bubbleviz.api.summary import Summary, counted
+from bubbleviz.api.summary import Summary
 from bubbleviz.diagnostics import ShearSummary, shear_line
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
@@ -35,6 +35,7 @@ from bubbleviz.recordings import AUTO, Frame, Message
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
+from bubbleviz.wording import counted
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bubbleviz.cli.shared_options import PATH, json_option
 from bubbleviz.files import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:
@@ -31,12 +31,9 @@ seed_option = click.option(
 
 
 def report_options(function: Callable[..., None]) -> Callable[..., None]:
-    options = [
-        click.option("--out", type=click.Path(path_type=Path), help="Folder for the report."),
-        click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units."),
-        click.option("--quick", is_flag=True, help="Run only a few cases, about a minute."),
-    ]
-    return functools.reduce(lambda f, option: option(f), reversed(options), function)
+    quick = click.option("--quick", is_flag=True, help="Run only a few cases, about a minute.")
+    out = click.option("--out", type=PATH, help="Folder for the report.")
+    return out(json_option(quick(function)))
 
 
 def run(study: Study, out: Path | None, as_json: bool) -> None:

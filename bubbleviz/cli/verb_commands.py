@@ -24,6 +24,7 @@ from bubbleviz.cli.shared_options import (
     json_option,
     kappa_option,
     out_option,
+    overwrite_option,
     publish_options,
     report,
     run,
@@ -249,7 +250,7 @@ def export(**options: Any) -> None:
     type=click.FloatRange(0.0, min_open=True),
     help="Depth of a pixel value of 1, m; by default 0.001 for integers, 1 for floats.",
 )
-@option("--overwrite", is_flag=True, help="Replace existing files.")
+@overwrite_option
 @json_option
 def convert(**options: Any) -> None:
     """Convert depth images or another recording to MCAP.

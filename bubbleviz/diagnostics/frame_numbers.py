@@ -11,6 +11,7 @@ import numpy as np
 from bubbleviz.membrane import Gas
 from bubbleviz.recordings import force_of
 from bubbleviz.result import HALF_95, Patch, Result, Slip, Traction
+from bubbleviz.wording import counted
 
 # Summary values of a contact with friction, with 95 % intervals.
 
@@ -221,13 +222,13 @@ class ShearSummary:
 
     def to_text(self) -> str:
         """Lines for the terminal; ± is half of the 95 % interval."""
-        status = ", ".join(f"{count} {name}" for name, count in self.status.items())
-        lines = [f"shear    {status or 'no frame'}"]
+        lines = [f"shear    {counted(self.status) or 'no frame'}"]
         if self.highest is not None:
             numbers = _words(self.highest)
-            lines += [f"         {numbers}, where the force was highest; ±: 95 % interval"]
-            lines += ["         force direction not verified on real sensors"]
-        return "\n".join([*lines, *(f"         {line}" for line in filter(None, [self.reference]))])
+            lines += [f"{numbers}, where the force was highest; ±: 95 % interval"]
+            lines += ["force direction not verified on real sensors"]
+        lines += filter(None, [self.reference])
+        return f"\n{9 * ' '}".join(lines)
 
 
 def shear_line(result: Result) -> str:

@@ -57,7 +57,7 @@ class Bag:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.note = ""  # text: what is missing of the recording; empty when it is complete
+        self.note = ""  # missing parts of the recording, as text; empty if it is complete
         self._storages: list[Storage] = []
         self._open_files = ExitStack()
         if not exists(self.path):

@@ -87,6 +87,7 @@ class Recording:
         self.bag = Bag(path)  # the recording by topics
         self.path = self.bag.path
         self.name = self.path.name or str(self.path)  # file name
+        self.note = self.bag.note  # missing parts and other warnings, as text; empty for none
         try:
             self.depth_topic = find_depth(self.bag, depth_topic)
             self._unit_m = metres_per_unit(self.bag, self.depth_topic)
@@ -95,8 +96,6 @@ class Recording:
             self.intrinsics: Intrinsics | None = intrinsics
             self._series = self._find_values({PRESSURE: pressure_topic, WRENCH: wrench_topic})
             self.colour = self._colour()  # the colour images of the same sensor
-            # text: what the user should know about the recording; may be empty
-            self.remark = self.bag.note
         except BaseException:
             self.bag.close()
             raise
@@ -258,7 +257,7 @@ class Recording:
         looped = bool(stamps.all()) and begins_again(stamps)
         if looped:
             what = "stamps of depth images begin again, as in a looped replay: all data are matched"
-            self.bag.note = "; ".join(filter(None, (self.bag.note, f"{what} by log times")))
+            self.note = "; ".join(filter(None, (self.note, f"{what} by log times")))
         self._by_log = looped or not stamps.all()
         if self._by_log:
             stamps = log_ns

@@ -102,7 +102,7 @@ def with_truth_file(recording: FrameSource) -> FrameSource:
     """The recording with the ground truth of the file of its name and suffix .npz, if any.
 
     Returns the recording unchanged if there is none, or the file is not a TRUTH.npz, but for
-    example a RESULT.npz. A TRUTH.npz of another recording becomes a remark.
+    example a RESULT.npz. A TRUTH.npz of another recording is mentioned in its note.
     """
     if not isinstance(recording, Recording):
         return recording
@@ -114,7 +114,7 @@ def with_truth_file(recording: FrameSource) -> FrameSource:
     try:
         return RecordingWithTruth(recording, path)
     except OtherTruthError as error:
-        recording.remark = "; ".join(filter(None, (recording.remark, str(error))))
+        recording.note = "; ".join(filter(None, (recording.note, str(error))))
     except InputError:
         pass
     return recording

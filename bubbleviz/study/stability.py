@@ -34,6 +34,7 @@ from bubbleviz.simulation import (
 )
 from bubbleviz.study import harness
 from bubbleviz.study.harness import Band, Report, Study, forward_faults, inverse_faults
+from bubbleviz.wording import counted
 
 # A stability case makes a sensor and frames, estimates, and checks the result.
 
@@ -233,13 +234,11 @@ def report_of(results: Sequence[CaseResult]) -> Report:
     """Counts and every case."""
     verdicts = [result.verdict for result in results]
     names: tuple[Verdict, ...] = ("passed", "refused", "failed")
-    counts: dict[str, int] = {
-        "cases": len(results),
-        **{name: verdicts.count(name) for name in names},
-    }
-    text = f"{len(results)} cases: " + ", ".join(f"{counts[name]} {name}" for name in names)
+    counts = {str(name): verdicts.count(name) for name in names}
+    text = f"{len(results)} cases: {counted(counts)}"
     lines = [f"{r.verdict:8} {r.name:44} {r.ms:8.0f} ms  {r.detail}" for r in results]
-    return Report(numbers=counts, text="\n".join([*lines, text]), rows_name="results")
+    numbers = {"cases": len(results), **counts}
+    return Report(numbers=numbers, text="\n".join([*lines, text]), rows_name="results")
 
 
 # The cases of the stability study.

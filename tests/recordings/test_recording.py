@@ -130,7 +130,7 @@ def test_laps_of_a_recorded_loop_follow_each_other_by_log_times(tmp_path, frames
             frame = recording[log]
             np.testing.assert_array_equal(frame.depth_m, depth_image(log % 5))
             assert frame.gas_pressure_pa == pytest.approx(1e5 + log)
-        assert "begin again" in recording.remark
+        assert "begin again" in recording.note
 
 
 def test_log_times_are_used_without_stamps(tmp_path):

@@ -73,11 +73,11 @@ def test_ground_truth_of_the_same_name_is_found_and_a_result_file_is_not(folder,
         (tmp_path / "sim.npz").write_bytes(b"no npz")
         assert with_truth_file(recording) is recording
         shutil.copy(tmp_path / "truth.npz", tmp_path / "sim.npz")
-        assert isinstance(with_truth_file(recording), RecordingWithTruth) and not recording.remark
+        assert isinstance(with_truth_file(recording), RecordingWithTruth) and not recording.note
         of_another = {name: array[:-1] for name, array in np.load(tmp_path / "truth.npz").items()}
         np.savez(tmp_path / "sim.npz", **of_another)
         assert with_truth_file(recording) is recording
-        assert "sim.npz: belongs to another recording" in recording.remark
+        assert "sim.npz: belongs to another recording" in recording.note
 
 
 def test_ground_truth_of_another_recording_gives_one_sentence(folder, tmp_path):

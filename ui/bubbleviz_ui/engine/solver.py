@@ -459,8 +459,8 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
     opened, source, stream = current.opened, current.source, current.opened.stream
     recording = current.recording
     zero = current.zeros.gas if stream is None else None  # a live source reports its zero later
-    # recordings have a remark
-    remarks = [str(getattr(source, "remark", "")), current.pipeline.model.contradiction]
+    # recordings have a note
+    remarks = [str(getattr(source, "note", "")), current.pipeline.model.contradiction]
     if stream is None:
         remarks.append(gas_warning(measured_pa, current.pipeline.model.gas.P0))
         remarks.append(_zero_remark(zero))
