@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.api.estimating import Recorded, SensorName, estimate
 from bubbleviz.api.results import Run, load_run
-from bubbleviz.api.saved_summary import SavedSummary, check_out
+from bubbleviz.api.saved_summary import SavedSummary, axis_columns, check_out
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, find_gaps
@@ -46,8 +46,6 @@ class Comparison(SavedSummary):
         N in the bubble frame of each; NaN without a trusted estimate.
     area_m2, other_area_m2 : (F,) array
         Patch area, m².
-    out : str or None
-        File or folder written.
     """
 
     stem = "comparison"
@@ -61,7 +59,6 @@ class Comparison(SavedSummary):
     other_force_n: np.ndarray
     area_m2: np.ndarray
     other_area_m2: np.ndarray
-    out: str | None = None
 
     @property
     def force_difference_n(self) -> np.ndarray:
@@ -95,8 +92,8 @@ class Comparison(SavedSummary):
             for statistic, of in _STATISTICS.items()
         }
 
-    def to_text(self) -> str:
-        """Text for the terminal, with units."""
+    def lines(self) -> list[str]:
+        """Lines of the text for the terminal, with units."""
         facts, by = self.facts(), "time"
         if self.align == "contact":
             way = "earlier" if self.shift_s >= 0.0 else "later"
@@ -113,23 +110,18 @@ class Comparison(SavedSummary):
             if median is not None:
                 numbers = [f"{factor * number:.3g} {unit}" for number in (median, p95, most)]
                 lines.append("{:9} {} median, {} 95th percentile, {} max".format(label, *numbers))
-        return "\n".join([*lines, *([f"wrote {self.out}"] if self.out else [])])
+        return lines
 
-    def rows(self) -> list[dict[str, float]]:
-        """Time, force and area of both, and their differences, of each frame."""
-        forces = {"force": self.force_n, "other_force": self.other_force_n}
-        columns = {
+    def columns(self) -> dict[str, np.ndarray]:
+        """Time, force and area of both, and their differences."""
+        return {
             "time_s": self.time_s,
-            **{f"{k}_{axis}_n": f[:, j] for k, f in forces.items() for j, axis in enumerate("xyz")},
+            **axis_columns(force=self.force_n, other_force=self.other_force_n),
             "force_difference_n": self.force_difference_n,
             "area_m2": self.area_m2,
             "other_area_m2": self.other_area_m2,
             "area_difference_m2": self.area_difference_m2,
         }
-        return [
-            dict(zip(columns, map(float, values), strict=True))
-            for values in zip(*columns.values(), strict=True)
-        ]
 
     def plot(self) -> Figure:
         """Force and patch area of both over time, and their differences."""
@@ -200,19 +192,15 @@ def compare(
     shift_s = _first_contact_s(b) - _first_contact_s(a) if align == "contact" else 0.0
     at_s, areas = a.times_s + shift_s, [run.columns()["patch_area_m2"] for run in (a, b)]
     both = _interpolated(at_s, b.times_s, np.column_stack([b.force_n, areas[1]]))
-    found = Comparison(
-        *names, align, shift_s, a.times_s, a.force_n, both[:, :3], areas[0], both[:, 3],
-        None if out is None else str(out),
-    )  # fmt: skip
+    forces, own_areas = (a.force_n, both[:, :3]), (areas[0], both[:, 3])
+    found = Comparison(*names, align, shift_s, a.times_s, *forces, *own_areas)
     if not np.isfinite(found.force_difference_n).any():
         raise InputError(
             f"{names[0]}, {names[1]}: at no time do both have a trusted force; use --align "
             f"{'time' if align == 'contact' else 'contact'}, or look up the status of their frames "
             "in a table by bubbleviz estimate --csv"
         )
-    if out is not None:
-        found.save(out, overwrite=overwrite)
-    return found
+    return found.saved(out, overwrite=overwrite)
 
 
 def _run(given: Run | Recorded, sensor: SensorName, progress: Progress) -> Run:

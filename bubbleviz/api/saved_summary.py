@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
 
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_existing, to_json, whole_file, write_rows
+from bubbleviz.files import refuse_existing, rows_of, to_json, whole_file, write_rows
 from bubbleviz.output import DPI
 
 if TYPE_CHECKING:
@@ -17,18 +20,36 @@ if TYPE_CHECKING:
 _PICTURES = (".png", ".svg", ".pdf")
 
 
+@dataclass(frozen=True, kw_only=True)
 class SavedSummary(Summary):
     """A summary with a plot and a table of the frames; `stem` names its files in a folder."""
 
     stem: ClassVar[str]
+    out: str | None = None  # file or folder written
 
     @abstractmethod
-    def rows(self) -> list[dict[str, float]]:
-        """Numbers of each frame by column, units in the names."""
+    def columns(self) -> dict[str, np.ndarray]:
+        """Numbers of the frames by column, (F,) each, units in the names."""
+
+    @abstractmethod
+    def lines(self) -> list[str]:
+        """Lines of `to_text`, without the file written."""
+
+    def to_text(self) -> str:
+        """Text for the terminal, with units."""
+        return "\n".join([*self.lines(), *([f"wrote {self.out}"] if self.out else [])])
 
     @abstractmethod
     def plot(self) -> Figure:
         """Figure of the table."""
+
+    def saved(self, out: str | Path | None, *, overwrite: bool) -> Self:
+        """The summary after `save`; unchanged if `out` is None."""
+        if out is None:
+            return self
+        named = replace(self, out=str(out))
+        named.save(out, overwrite=overwrite)
+        return named
 
     def save(self, out: str | Path, *, overwrite: bool = False) -> None:
         """Write a plot (.png, .svg, .pdf), a table (.csv), numbers (.json), or a folder of all.
@@ -50,11 +71,20 @@ class SavedSummary(Summary):
 
     def _write(self, path: Path) -> None:
         if path.suffix == ".csv":
-            write_rows(path, self.rows())
+            write_rows(path, rows_of(self.columns()))
         elif path.suffix == ".json":
             path.write_text(to_json(self.facts()) + "\n", encoding="utf-8")
         else:
             self.plot().savefig(path, dpi=DPI)
+
+
+def axis_columns(**vectors: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns (F,) of the components of vectors (F, 3) in N: `NAME_x_n` and so on."""
+    return {
+        f"{name}_{axis}_n": vector[:, k]
+        for name, vector in vectors.items()
+        for k, axis in enumerate("xyz")
+    }
 
 
 def check_out(out: str | Path | None, *, overwrite: bool) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.api.estimating import SensorName, estimate
 from bubbleviz.api.frames import open
-from bubbleviz.api.saved_summary import SavedSummary, check_out
+from bubbleviz.api.saved_summary import SavedSummary, axis_columns, check_out
 from bubbleviz.calibration import Interval, WrenchComparison, compare_with_wrench
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
@@ -31,8 +31,6 @@ class ValidationSummary(SavedSummary):
     recording, sensor : str
     found : WrenchComparison
         estimate(t) = gain · R (measured(t − delay) − bias), with 95 % intervals.
-    out : str or None
-        File or folder written.
     """
 
     stem = "validation"
@@ -40,7 +38,6 @@ class ValidationSummary(SavedSummary):
     recording: str
     sensor: str
     found: WrenchComparison
-    out: str | None = None
 
     def facts(self) -> dict[str, Any]:
         """Numbers, SI units, each with half of its 95 % interval; None if not determined."""
@@ -63,8 +60,8 @@ class ValidationSummary(SavedSummary):
             "largest_measured_n": _largest(found.measured_n),
         }
 
-    def to_text(self) -> str:
-        """Text for the terminal, with units."""
+    def lines(self) -> list[str]:
+        """Lines of the text for the terminal, with units."""
         found = self.found
         bias = ", ".join(
             _with_interval(Interval(*pair))
@@ -74,7 +71,7 @@ class ValidationSummary(SavedSummary):
         sizes = np.linalg.norm([rotation.value, rotation.half_width], axis=1)
         angle = Interval(*np.degrees(sizes))
         spin = ", undetermined about the force direction (press in other directions too)"
-        lines = [
+        return [
             f"compared    {count_of(len(found.time_s), 'frame')}, presses: {found.presses}",
             f"force       {_largest(found.estimate_n):.2f} N largest estimate,"
             f" {_largest(found.measured_n):.2f} N largest measurement",
@@ -87,23 +84,13 @@ class ValidationSummary(SavedSummary):
             "the force magnitudes, gain not applied",
             "Intervals: 95 %. The sensor file is not changed.",
         ]
-        return "\n".join([*lines, *([f"wrote {self.out}"] if self.out else [])])
 
-    def rows(self) -> list[dict[str, float]]:
-        """Force of each frame: estimated, measured (less bias and delay), and fitted, N."""
+    def columns(self) -> dict[str, np.ndarray]:
+        """Force: estimated, measured (less bias and delay), and fitted, N."""
         found = self.found
-        kinds = {
-            "estimate": found.estimate_n, "measured": found.measured_n, "fitted": found.fitted_n
-        }  # fmt: skip
-        return [
-            {"time_s": float(time_s)}
-            | {
-                f"{kind}_{axis}_n": float(force[k, j])
-                for kind, force in kinds.items()
-                for j, axis in enumerate("xyz")
-            }
-            for k, time_s in enumerate(found.time_s)
-        ]
+        return {"time_s": found.time_s} | axis_columns(
+            estimate=found.estimate_n, measured=found.measured_n, fitted=found.fitted_n
+        )
 
     def plot(self) -> Figure:
         """Estimated over measured force, and both over time."""
@@ -194,11 +181,8 @@ def validate(
         found = compare_with_wrench(run.times_s, run.force_n, measured)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    written = None if out is None else str(out)
-    summary = ValidationSummary(name, run.context["sensor"], found, written)
-    if out is not None:
-        summary.save(out, overwrite=overwrite)
-    return summary
+    summary = ValidationSummary(name, run.context["sensor"], found)
+    return summary.saved(out, overwrite=overwrite)
 
 
 def _largest(force_n: np.ndarray) -> float:

@@ -8,11 +8,11 @@ from .output_files import (
     refuse_input as refuse_input,
     remove_unfinished as remove_unfinished,
     restore_on_error as restore_on_error,
+    rows_of as rows_of,
     sync as sync,
     table as table,
     to_json as to_json,
     whole_file as whole_file,
-    write_csv as write_csv,
     write_json as write_json,
     write_rows as write_rows,
 )

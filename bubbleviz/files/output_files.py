@@ -12,9 +12,8 @@ import secrets
 import shutil
 import socket
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -272,12 +271,6 @@ def to_json(data: Any) -> str:
     return encodable(json.dumps(_finite(data), indent=1, allow_nan=False, ensure_ascii=False))
 
 
-def write_csv(path: Path, rows: Sequence[Any]) -> None:
-    """Write a CSV file of dataclass rows of one type."""
-    with whole_file(path) as temporary:
-        write_rows(temporary, [asdict(row) for row in rows])
-
-
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write rows as CSV, in UTF-8 with a header line; `nan` for NaN, empty for None.
 
@@ -288,6 +281,12 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [])
         writer.writeheader()
         writer.writerows({name: _cell(value) for name, value in row.items()} for row in rows)
+
+
+def rows_of(columns: Mapping[str, Iterable[Any]]) -> list[dict[str, Any]]:
+    """Rows of columns of equal length."""
+    rows = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in rows]
 
 
 def _cell(value: Any) -> Any:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import write_rows
+from bubbleviz.files import rows_of, write_rows
 from bubbleviz.output.exporter import Exporter
 from bubbleviz.output.results import csv_row, magnitude_half_width_n, summary_row
 from bubbleviz.pipeline import Product
@@ -103,8 +103,7 @@ def _unknown(value: Any) -> Any:
 
 def write_csv(table: Table, path: Path) -> None:
     """Write CSV in UTF-8 with a header line; `nan` if unknown, empty κ for the automatic rule."""
-    rows = zip(*table.values(), strict=True)
-    write_rows(path, [dict(zip(table, row, strict=True)) for row in rows])
+    write_rows(path, rows_of(table))
 
 
 def write_parquet(table: Table, path: Path) -> None:

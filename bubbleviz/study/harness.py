@@ -19,8 +19,8 @@ from bubbleviz.files import (
     table,
     to_json,
     whole_file,
-    write_csv,
     write_json,
+    write_rows,
 )
 from bubbleviz.inverse import RubberBubble
 from bubbleviz.membrane import Contact, RubberMembrane, cotangent_laplacian
@@ -231,7 +231,8 @@ def check_same(parts: Path, settings: Record) -> None:
 def write(report: Report, out: Path, name: str) -> list[Path]:
     """Write NAME.csv, NAME.json and, if there is a plot, NAME.png; returns their paths."""
     paths = [out / f"{name}.csv", out / f"{name}.json"]
-    write_csv(paths[0], report.rows)
+    with whole_file(paths[0]) as temporary:
+        write_rows(temporary, [asdict(row) for row in report.rows])
     write_json(paths[1], report.to_dict())
     if report.plot is not None and report.rows:
         figure = Figure(figsize=(15, 5), layout="constrained")
