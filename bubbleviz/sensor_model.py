@@ -135,8 +135,8 @@ class SensorModel:
             raise InputError(f"{where}: {error}") from error
 
     def _block(self) -> int:
-        T, own = self.camera.T_B_C, self.camera.intrinsics
-        depth = float(np.median((self.mesh.nodes - T[:3, 3]) @ T[:3, 2]))
+        own = self.camera.intrinsics
+        depth = float(np.median(self.camera.local(self.mesh.nodes)[:, 2]))
         size = int(0.5 * self.mesh.edge_length * min(own.fx, own.fy) / depth)
         return min(max(1, size), _MAX_BLOCK)
 

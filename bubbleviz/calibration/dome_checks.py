@@ -46,8 +46,7 @@ def _visible_share(
 ) -> float:
     """Share of a dome's area that the camera sees."""
     centres = mesh.nodes[mesh.triangles].mean(axis=1)
-    T = camera.T_B_C
-    uv = np.rint(camera.intrinsics.project((centres - T[:3, 3]) @ T[:3, :3])).astype(int)
+    uv = np.rint(camera.project(centres)).astype(int)
     height, width = filled.shape
     inside = ((uv >= 0) & (uv < (width, height))).all(axis=1)
     visible = np.zeros(len(uv), bool)

@@ -181,8 +181,8 @@ class FlowObserver:
         self, nodes: np.ndarray, point: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points in B, (k, 3), m, and in the image, (k, 2), and the derivative, (k, 2, 3), px/m."""
-        T = self._camera.T_B_C
+        camera = self._camera
         corners = nodes.take(self._corners.take(point, axis=0), axis=0)
         places = np.einsum("ij,ijk->ik", self._barycentric.take(point, axis=0), corners)
-        pixels, slopes = self._camera.intrinsics.projection((places - T[:3, 3]) @ T[:3, :3])
-        return places, pixels, slopes @ T[:3, :3].T
+        pixels, slopes = camera.intrinsics.projection(camera.local(places))
+        return places, pixels, slopes @ camera.T_B_C[:3, :3].T

@@ -166,6 +166,14 @@ class DepthCamera:
         shape = (self.intrinsics.height, self.intrinsics.width)
         return (1.0 / along_axis).reshape(shape).astype(np.float32)
 
+    def local(self, points_m: np.ndarray) -> np.ndarray:
+        """Points (…, 3) in B in the camera frame C, m."""
+        return (points_m - self.center) @ self.T_B_C[:3, :3]
+
+    def project(self, points_m: np.ndarray) -> np.ndarray:
+        """Pixel coordinates (u, v) of points (…, 3) in B; shape (…, 2)."""
+        return self.intrinsics.project(self.local(points_m))
+
     def range_image(self, depth_m: np.ndarray) -> np.ndarray:
         """Range in m of a z-depth image (H, W)."""
         return depth_m * self.range_per_depth

@@ -302,8 +302,7 @@ class MembraneView:
         met = np.zeros(len(mesh.nodes), bool)
         met[reaching] = True
         nodes, corners = np.flatnonzero(met), (np.cumsum(met) - 1)[reaching]
-        local = mesh.deformed(displacement_m)[nodes] - self.camera.center
-        seen = local @ self.camera.T_B_C[:3, :3]
+        seen = self.camera.local(mesh.deformed(displacement_m)[nodes])
         places = np.ones((len(nodes), 3))
         places[:, :2] = self.camera.intrinsics.project(seen)
         # times (column, row, 1): a place's barycentric coordinates up to a positive factor

@@ -264,8 +264,7 @@ class Probe:
 
     def _projected(self, point_m: np.ndarray) -> tuple[float, float]:
         """Row and column of the projection of a point in B."""
-        T = self._camera.T_B_C
-        u, v = self._camera.intrinsics.project((point_m - T[:3, 3]) @ T[:3, :3])
+        u, v = self._camera.project(point_m)
         return float(v), float(u)
 
 

@@ -217,8 +217,7 @@ class DepthPictures(Pictures):
         return result.frame.depth_m
 
     def range(self) -> tuple[float, float]:
-        T = self.model.camera.T_B_C
-        depths = (self.model.mesh.nodes - T[:3, 3]) @ T[:3, 2]
+        depths = self.model.camera.local(self.model.mesh.nodes)[:, 2]
         return float(depths.min()), float(depths.max())
 
 

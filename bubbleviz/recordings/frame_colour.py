@@ -53,8 +53,7 @@ class Texture:
             nothing = np.zeros((len(nodes_m), 2)), np.zeros(len(nodes_m), bool)
             why = colour.reason or "the intrinsics of the colour camera are not known"
             return cls(colour, *nothing, why)
-        T, own = camera.T_B_C, camera.intrinsics
-        points = (nodes_m - T[:3, 3]) @ T[:3, :3]
+        own, points = camera.intrinsics, camera.local(nodes_m)
         before = points[:, 2] > 0.0
         points[~before] = (0.0, 0.0, 1.0)
         place = (own.project(points) + 0.5) / (own.width, own.height)  # pixel centres are integers
