@@ -220,7 +220,8 @@ class LiveStream:
                 if frame.intrinsics is not None or ended or now >= camera_by:
                     return frame
             else:
-                self._check_size()
+                if error := self._size_refusal(1 if ended else MIN_WRONG_SIZE):
+                    raise error
                 if ended or now - began > patience_s:
                     raise self.nothing_arrived()
             waiting()
@@ -311,7 +312,7 @@ class LiveStream:
 
     def _problem(self) -> str:
         """Why no depth image comes, if known."""
-        return self.source.problem or self._size_refused()
+        return self.source.problem or str(self._size_refusal() or "")
 
     @property
     def frozen(self) -> str:
@@ -329,27 +330,14 @@ class LiveStream:
         # no lock: the window must not wait for an image to be decoded
         return replace(self._assembler.counters, skipped=self._skipped, missed=self.source.missed)
 
-    def _check_size(self) -> None:
-        """Raise InputError if a source has sent only images of another size than the sensor's."""
-        with self._lock:
-            counters, own = self._assembler.counters, self._assembler.size
-            enough = 1 if self.ended else MIN_WRONG_SIZE
-            wrong = counters.frames == 0 and counters.wrong_size >= enough
-            size = self._assembler.other_size
-        if wrong and size is not None and own is not None:
-            sensor_name = self.sensor.file or self.sensor.name
-            raise size_refusal(f"--source {self.uri}", size, sensor_name, own)
-
-    def _size_refused(self) -> str:
-        """Warning about images of another size since the last frame; else empty."""
+    def _size_refusal(self, enough: int = MIN_WRONG_SIZE) -> InputError | None:
+        """The error about images of another size since the last frame; None for fewer."""
         size, own = self._assembler.other_size, self._assembler.size
         wrong = self._assembler.counters.wrong_size - self._wrong_before
-        if wrong < MIN_WRONG_SIZE or size is None or own is None:
-            return ""
-        return (
-            f"refused: images are {size[0]}×{size[1]} pixels but the sensor's camera has "
-            f"{own[0]}×{own[1]}; choose the sensor file of this camera"
-        )
+        if wrong < enough or size is None or own is None:
+            return None
+        sensor_name = self.sensor.file or self.sensor.name
+        return size_refusal(f"--source {self.uri}", size, sensor_name, own)
 
     def _patience_s(self) -> float:
         """Time until the pending frame must be checked again, s."""

@@ -75,22 +75,33 @@ class ImageFolder:
                 "another folder"
             )
         self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
+        self._clock_s = self._checked_times(times_s, rate_hz)
+        self.times_s = self._clock_s - self._clock_s[0]
+        self._colour = self._find_colour()
+        first = self._pixels(self._files[0])
+        self._shape = first.shape
+        # whether depths are whole numbers of mm
+        self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
+        self._check()
+
+    def _checked_times(self, times_s: np.ndarray | None, rate_hz: float | None) -> np.ndarray:
+        """Times of the images, (F,), s: as given, by the rate, or from the file names."""
         if times_s is not None:
             stamps = times_s
         elif rate_hz is not None:
-            stamps = np.arange(len(found)) / rate_hz
+            stamps = np.arange(len(self._files)) / rate_hz
         else:
             stamps = self._stamps()
         if len(stamps) != len(self._files):
             images, times = count_of(len(self._files), "image"), count_of(len(stamps), "time")
             raise InputError(
-                f"{folder}: {images} but {times}; give one time for each image (--times, or "
+                f"{self.path}: {images} but {times}; give one time for each image (--times, or "
                 "times.csv in the folder)"
             )
         if not (np.abs(stamps) < 1e-9 * MAX_STAMP_NS).all():
             raise InputError(
-                f"{folder}: a time is beyond ±2³¹ s; give the times in s since 1970 or since the "
-                "start (file names may also be in ns)"
+                f"{self.path}: a time is beyond ±2³¹ s; give the times in s since 1970 or since "
+                "the start (file names may also be in ns)"
             )
         if np.any(np.diff(stamps) <= 0.0):
             late = int(np.argmax(np.diff(stamps) <= 0.0)) + 1
@@ -98,14 +109,7 @@ class ImageFolder:
                 f"{self._files[late]}: its time is not after that of the image before; correct the "
                 "times, or the numbers in the file names"
             )
-        self._clock_s = np.asarray(stamps, dtype=np.float64)
-        self.times_s = self._clock_s - self._clock_s[0]
-        self._colour = self._find_colour()
-        first = self._pixels(self._files[0])
-        self._shape = first.shape
-        # whether whole numbers of mm hold the depths
-        self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
-        self._check()
+        return np.asarray(stamps, dtype=np.float64)
 
     def __len__(self) -> int:
         return len(self._files)
