@@ -286,8 +286,6 @@ class Traction:
     # rms over the contact of the standard deviation of a node's displacement by noise, per axis, m
     displacement_sigma_m: float = np.nan
     flow_rms_px: float = np.nan  # measured minus modelled motion in the image; NaN without flow
-    # residual of the flow over its noise, by which its weight is reduced
-    flow_noise: float = np.nan
     reason: str = ""  # why friction or traction is unknown, in one clause; empty if known
 
     @property
@@ -432,9 +430,8 @@ class Pose:
     @property
     def origin_covariance(self) -> np.ndarray:
         """Covariance of the object's origin and its rotation vector in B, (6, 6), m and rad."""
-        x, y, z = self.T_B_O[:3, 3] - self.center_m
-        J = np.eye(6)  # a small motion moves the origin by t + ω × (origin − centre)
-        J[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        # a small motion moves the origin by t + ω × (origin − centre)
+        J = wrench_about(self.center_m - self.T_B_O[:3, 3]).T
         covariance: np.ndarray = J @ self.covariance @ J.T
         return covariance
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
@@ -32,7 +31,7 @@ from bubbleviz.recordings import (
     has_returns,
     shown_name,
 )
-from bubbleviz.result import TRUSTED, PoseStatus, Result
+from bubbleviz.result import TRUSTED, PoseStatus
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
 from bubbleviz.zeros import Zeros, zeros_of
@@ -180,12 +179,9 @@ def estimate(
             "gas_zero": None if zeros.gas is None else zeros.gas.words,
         }
         any_depth, equal = False, EqualImages()
-        with ExitStack() as stack:
-            write: Callable[[Result], object] = lambda _: None  # noqa: E731
-            if out is not None:
-                products |= {"pixel_mask"}
-                files = run.files(out, csv, overwrite=overwrite, frames=len(chosen))
-                write = stack.enter_context(files)
+        if out is not None:
+            products |= {"pixel_mask"}
+        with run.files(out, csv, overwrite=overwrite, frames=len(chosen)) as write:
             frame_solver = FrameSolver(pipeline, products, options, zeros)
             for result in solved(chosen, frame_solver, progress):
                 equal.take(result.frame.depth_m)
@@ -193,8 +189,7 @@ def estimate(
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, any_depth)
-        warnings = frame_solver.sensor_warning("recording"), equal.warning
-        _add_warnings(run, chosen, frame_solver, *warnings)
+        run.warn(chosen.note, *frame_solver.warnings("recording"), equal.warning)
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -304,7 +299,7 @@ def track(
         frame_solver = FrameSolver(pipeline, products, zeros=zeros)
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
-        _add_warnings(run, chosen, frame_solver)
+        run.warn(chosen.note, *frame_solver.warnings("recording"))
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -415,11 +410,6 @@ def _new_run(
         "out": None if out is None else str(out),
     }
     return zeros, Run(pipeline.model, context, provenance)
-
-
-def _add_warnings(run: Run, frames: Frames, solver: FrameSolver, *warnings: str) -> None:
-    parts = frames.note, *warnings, solver.drift_warning(), solver.friction_warning()
-    run.context["warning"] = "; ".join(filter(None, parts)) or None
 
 
 def _check_any_data(run: Run, any_depth: bool) -> None:

@@ -291,7 +291,12 @@ class FrameSolver:
             self._most_friction = max(self._most_friction, friction)
         return result
 
-    def drift_warning(self) -> str:
+    def warnings(self, where: str) -> list[str]:
+        """Warnings about the frames so far; `where` they are from: recording or source."""
+        found = self._sensor_warning(where), self._drift_warning(), self._friction_warning()
+        return [text for text in found if text]
+
+    def _drift_warning(self) -> str:
         """Warning if depth images drift; else empty.
 
         By more than three standard deviations since the calibration, or in more images with
@@ -315,7 +320,7 @@ class FrameSolver:
             "corrected for that. Let the camera warm up, or identify the sensor again"
         )
 
-    def friction_warning(self) -> str:
+    def _friction_warning(self) -> str:
         """Warning if friction exceeds the expected coefficient beyond its interval; else empty."""
         if not self._frames_over:
             return ""
@@ -326,7 +331,7 @@ class FrameSolver:
             "with a larger --friction"
         )
 
-    def sensor_warning(self, where: str) -> str:
+    def _sensor_warning(self, where: str) -> str:
         """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
         known_pa, zero = self.pipeline.model.gas.P0, self.zeros.gas
         if zero is None or zero.rest_pa is None:

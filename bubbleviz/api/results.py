@@ -345,6 +345,10 @@ class Run(Sequence[FrameResult], Summary):
         """Missing data and mismatches that did not prevent the estimation; None without any."""
         return self.context["warning"]
 
+    def warn(self, *texts: str) -> None:
+        """Set the warning, of those texts that are not empty."""
+        self.context["warning"] = "; ".join(filter(None, texts)) or None
+
     @property
     def times_s(self) -> np.ndarray:
         """Time of each frame from the start of the recording, s, (F,)."""
@@ -458,9 +462,20 @@ class Run(Sequence[FrameResult], Summary):
 
     @contextmanager
     def files(
-        self, out: str | Path, csv: str | Path | None, *, overwrite: bool, frames: int | None = None
+        self,
+        out: str | Path | None,
+        csv: str | Path | None,
+        *,
+        overwrite: bool,
+        frames: int | None = None,
     ) -> Iterator[Callable[[Result], object]]:
-        """Function that writes the results of `frames` frames; the files appear after the block."""
+        """Function that writes the results of `frames` frames; the files appear after the block.
+
+        It does nothing if `out` is None.
+        """
+        if out is None:
+            yield lambda _: None
+            return
         with ExitStack() as stack:
             archive = stack.enter_context(whole_file(out, overwrite=overwrite))
             table = stack.enter_context(whole_file(csv, overwrite=overwrite)) if csv else None

@@ -210,46 +210,54 @@ def _watch(
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
-    stream, zero, texture = watcher.stream, watcher.solver.zeros.gas, watcher.solver.texture
-    pipeline = watcher.solver.pipeline
-    statuses: Counter[str] = Counter()
-    max_force_n: float | None = None
-    shear = None if texture is None else ShearSummary()
-    began = time.monotonic()
-    silent = False
+    stream, found, silent = watcher.stream, _Found(watcher), False
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
         for result in _until_over(watcher, stop, duration_s):
             if result is not None:
-                statuses[result.solution[0].status] += 1
-                if (trusted := result.trusted_patch) is not None:
-                    max_force_n = max(max_force_n or 0.0, float(np.linalg.norm(trusted.force_n)))
-                if shear is not None:
-                    shear.add(result)
-                send(result, pipeline)
+                found.add(result)
+                send(result, watcher.solver.pipeline)
                 bar.update()
             silent = _warn_of_silence(stream, silent)
             if send.diagnose():
-                newest = _newest(watcher.last, texture)
+                newest = _newest(watcher.last, watcher.solver.texture)
                 bar.set_postfix_str(", ".join(filter(None, (*newest, stream.status().text))))
-    elapsed = time.monotonic() - began
-    latency = watcher.latency.report()
-    if shear is not None and texture is not None:
-        shear.reference = texture.words
-    solver = watcher.solver
-    of_source = solver.sensor_warning("source"), stream.frozen
-    warnings = *of_source, solver.drift_warning(), solver.friction_warning()
-    return WatchSummary(
-        frames=statuses.total(),
-        status=dict(statuses),
-        rate_hz=statuses.total() / elapsed,
-        max_force_n=max_force_n,
-        latency_median_s=None if latency is None else latency.median_s,
-        latency_p95_s=None if latency is None else latency.p95_s,
-        pressure_offset_pa=None if zero is None else zero.offset_pa,
-        shear=shear,
-        counters=stream.counters.as_dict(),
-        warning="; ".join(filter(None, warnings)) or None,
-    )
+    return found.summary()
+
+
+class _Found:
+    """Statistics of the results of a watcher."""
+
+    def __init__(self, watcher: Watcher) -> None:
+        self._watcher, self._began = watcher, time.monotonic()
+        self._statuses: Counter[str] = Counter()
+        self._max_force_n: float | None = None
+        self._shear = None if watcher.solver.texture is None else ShearSummary()
+
+    def add(self, result: Result) -> None:
+        self._statuses[result.solution[0].status] += 1
+        if (patch := result.trusted_patch) is not None:
+            self._max_force_n = max(self._max_force_n or 0.0, float(np.linalg.norm(patch.force_n)))
+        if self._shear is not None:
+            self._shear.add(result)
+
+    def summary(self) -> WatchSummary:
+        stream, solver = self._watcher.stream, self._watcher.solver
+        latency, zero = self._watcher.latency.report(), solver.zeros.gas
+        if self._shear is not None and solver.texture is not None:
+            self._shear.reference = solver.texture.words
+        frames = self._statuses.total()
+        return WatchSummary(
+            frames=frames,
+            status=dict(self._statuses),
+            rate_hz=frames / (time.monotonic() - self._began),
+            max_force_n=self._max_force_n,
+            latency_median_s=None if latency is None else latency.median_s,
+            latency_p95_s=None if latency is None else latency.p95_s,
+            pressure_offset_pa=None if zero is None else zero.offset_pa,
+            shear=self._shear,
+            counters=stream.counters.as_dict(),
+            warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
+        )
 
 
 def _until_over(

@@ -69,7 +69,6 @@ def _of(
         covariance,
         np.nan if fit is None else fit.displacement_sigma_m,
         np.nan if fit is None else fit.rms_px,
-        np.nan if fit is None else fit.noise,
         reason,
     )
 
