@@ -19,7 +19,7 @@ import numpy as np
 import bubbleviz
 from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
-from bubbleviz.api.results import statistics
+from bubbleviz.api.run_summary import statistics
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import (
