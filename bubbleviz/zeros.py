@@ -1,7 +1,7 @@
 """Zeros of gas pressure, depth image and wrench sensor, from frames without contact.
 
-That of the gas pressure removes changes of ambient pressure and the sensor's offset, that of the
-depth image what has changed in the camera since calibration.
+The zero of the gas pressure removes changes of ambient pressure and the sensor's offset, the zero
+of the depth image removes changes of the camera since calibration.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _RENEWED_S = 60.0  # time after which live frames without contact determine thes
 
 
 def camera_moved(result: Result) -> bool:
-    """Whether an image contradicts the errors that were known, and was solved without them."""
+    """Whether an image contradicted the known errors, and was solved without them."""
     known, found = result.frame.image_errors, _image_errors(result)
     if known is None or found is None or found.prior is None:
         return False
@@ -46,7 +46,7 @@ def camera_moved(result: Result) -> bool:
 
 
 def _image_errors(result: Result) -> ImageErrors | None:
-    """Errors of an image as estimated from it; None where they are not."""
+    """Errors of an image as estimated from it; None if they were not."""
     found = None if result.estimate is None else result.estimate.image_errors
     return None if found is None or found.prior is None else found
 
@@ -69,11 +69,11 @@ class ImageZero:
         self._rest: list[Result] = []
 
     def applied(self, frame: Frame) -> Frame:
-        """The frame with the errors that are known; the same frame if they are not."""
+        """The frame with the known errors; unchanged if none are known."""
         return frame if self._known is None else replace(frame, image_errors=self._at(frame.time_s))
 
     def follow(self, result: Result, pipeline: Pipeline) -> None:
-        """Use a solved frame if it is one of consecutive ones without contact."""
+        """Use a solved frame if it belongs to consecutive frames without contact."""
         time_s = result.frame.time_s
         recent = self._known is not None and abs(time_s - self._time_s) < _RENEWED_S
         again = bool(self._rest) and time_s <= self._rest[-1].frame.time_s
@@ -102,7 +102,7 @@ class ImageZero:
         assert known is not None and since is not None and found is not None
         prior, time_s = found.prior, result.frame.time_s
         assert prior is not None
-        # what the image tells without its prior, widened by the scatter of single images
+        # the image's estimate without its prior, widened by the scatter of single images
         precision = np.linalg.inv(found.covariance) - np.linalg.inv(prior.covariance)
         weighted = np.linalg.solve(found.covariance, found.mean)
         weighted -= np.linalg.solve(prior.covariance, prior.mean)

@@ -46,9 +46,9 @@ class EncodedImage:
         """
         encoding = encoding_of(message)
         if encoding is None:
-            said = str(getattr(message, "encoding", "") or message.format)[:40]
+            given = str(getattr(message, "encoding", "") or message.format)[:40]
             known = ", ".join((*RAW_ENCODINGS, *COMPRESSED_ENCODINGS))
-            raise ValueError(f"encoding is {said!r}, not one of {known}")
+            raise ValueError(f"encoding is {given!r}, not one of {known}")
         data = np.asarray(message.data, np.uint8).tobytes()
         if encoding in COMPRESSED_ENCODINGS:
             return cls(encoding, data)
@@ -93,10 +93,10 @@ def encoding_of(message: Any) -> str | None:
     """Encoding of a message for `EncodedImage`; None if it is not a colour or grey image."""
     if hasattr(message, "encoding"):
         return message.encoding if message.encoding in RAW_ENCODINGS else None
-    said = str(message.format).lower().replace("jpg", "jpeg")  # `bgr8; jpeg compressed bgr8`
-    if "compresseddepth" in said:
+    text = str(message.format).lower().replace("jpg", "jpeg")  # `bgr8; jpeg compressed bgr8`
+    if "compresseddepth" in text:
         return None
-    return next((name for name in COMPRESSED_ENCODINGS if name in said), None)
+    return next((name for name in COMPRESSED_ENCODINGS if name in text), None)
 
 
 @dataclass(frozen=True)

@@ -40,9 +40,8 @@ class FlowField:
 class MeasuredFlow:
     """Motion of material points that were visible at rest."""
 
-    point: (
-        np.ndarray
-    )  # (k,) int, index among the observer's points, one per pixel that sees the membrane
+    # (k,) int, index among the observer's points, one per pixel that sees the membrane
+    point: np.ndarray
     moved_px: np.ndarray  # (k, 2)
     sigma_px: np.ndarray  # (k,), standard deviation of each component
     squares: BlockSquares  # parts of the image within which errors are correlated

@@ -78,8 +78,8 @@ _HUBER = 1.345
 """Residual in σ beyond which a pixel has less weight: 95 % efficient on Gaussian noise."""
 
 _OUTLIER, _OUTLIER_SHARE = 4.0, 1e-3
-"""Outliers: Gaussian noise puts 6e-5 of the pixels beyond 4 σ; more than 1e-3 are not noise. Nor is
-a block mean beyond 4 σ: a single pixel at 60 m is enough for that."""
+"""Outliers: Gaussian noise puts 6e-5 of the pixels beyond 4 σ, so more than 1e-3 are not noise. Nor
+is a block mean beyond 4 σ, which a single pixel at 60 m can cause."""
 
 _MAX_WALK = 0.5
 """Largest motion of nodes, in mesh edges, since all rays were cast; beyond, they are cast again."""

@@ -373,8 +373,8 @@ def validate(recording: Path, **options: Any) -> None:
 def compare(first: Path, other: Path, **options: Any) -> None:
     """Compare force and patch of two recordings.
 
-    A and B are recordings, or RESULT.npz of estimate; the same recording with two sensor files,
-    too. Reports the median, 95th percentile and maximum of the differences in contact.
+    A and B are recordings, or RESULT.npz of estimate; give a recording twice to compare two sensor
+    files. Reports the median, 95th percentile and maximum of the differences in contact.
     """
     run("compare", first, other, **options)
 

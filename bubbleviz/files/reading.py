@@ -30,7 +30,7 @@ def as_input_error(
     except InputError:
         raise
     except ModuleNotFoundError:
-        raise  # the command line tells how to install it
+        raise  # the command line says how to install it
     except Exception as error:
         reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read

@@ -92,8 +92,8 @@ class Counters:
     undecodable: int = 0  # messages whose bytes do not match their type
     wrong_type: int = 0  # messages on a topic in use with an unexpected type
     wrong_size: int = 0  # depth images of another size than the sensor's; no frames
-    # stamps that are unset, far in the past or far in the future. A depth image with one is a frame
-    # all the same, timed by its arrival.
+    # stamps that are unset, far in the past or far in the future. A depth image with one still
+    # becomes a frame, timed by its arrival.
     bad_stamps: int = 0
     equal_in_a_row: int = 0  # depth images in a row equal to the last bit, where a camera hung
     clock_jumps: int = 0  # how often the publisher's clock was set, or the publisher replaced
@@ -301,7 +301,7 @@ class FrameAssembler:
 
     def _take_depth(self, message: Message) -> list[Frame]:
         depth = self._decoded_depth(message)
-        verdict, time_ns = self._clock.judge(message.stamp_ns, message.arrival_ns)
+        verdict, time_ns = self._clock.check(message.stamp_ns, message.arrival_ns)
         self._checked_stamp(message, verdict)
         if verdict in ("duplicate", "out_of_order"):
             self.counters.duplicate += verdict == "duplicate"

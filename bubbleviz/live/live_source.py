@@ -40,7 +40,7 @@ class LiveSource:
         self.link: Link = "connecting"
         self.topics: tuple[OfferedTopic, ...] = ()  # found so far, of the types used here
         self.missed = 0  # messages lost on the way, by the publishers' sequence numbers
-        self.preparing = ""  # what it does before the first message, as text
+        self.preparing = ""  # text: progress before the first message
         self.problem = ""  # failure of the source itself as text; empty without one
         self._with_colour = False
         self._stopped = threading.Event()
@@ -62,7 +62,7 @@ class LiveSource:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """While the solver is built: a replay waits, other sources cannot."""
+        """Pause the source within the block, while a solver is built; only a replay can."""
         yield
 
     def follow_colour(self, on: bool = True) -> None:
@@ -100,7 +100,7 @@ class SourceOptions(BaseModel):
     pressure: str | None = None
     wrench: str | None = None
     colour: str | None = None
-    prefix: str = ""  # what the sensor's topics begin with
+    prefix: str = ""  # common prefix of the sensor's topics
     # how much later the stamps of gas pressure and wrench are than the images', s
     lag: float = Field(0.0, ge=-1.0, le=1.0)
 
@@ -168,10 +168,10 @@ class SourceUri:
 def parse_uri(text: str) -> SourceUri:
     """Parse a source URI.
 
-    Raises InputError: it is no text, begins with none of the schemes, an option is not
-    `name=value`, is given twice or unknown to the scheme, or its value is not one it may have.
+    Raises InputError: not a string, unknown scheme, or an option that is not `name=value`, given
+    twice, unknown to the scheme, or out of range.
     """
-    if not isinstance(text, str):  # as Python passes anything
+    if not isinstance(text, str):  # Python callers may pass anything
         raise InputError(
             f'source: give a text such as "zenoh:", not a {type(text).__name__}; to solve a stream '
             "that is open already, use estimate or track"

@@ -265,9 +265,9 @@ class LiveStream:
         # longest time since the last frame arrived, s; None waits for ever
         timeout_s: float | None = STOPPED_AFTER_S,
     ) -> Iterator[_T]:
-        """What is made of the newest frame, over and over, until the source ends.
+        """Results of `take` for the newest frames, until the source ends.
 
-        Raises StreamStoppedError: None came in that time.
+        Raises StreamStoppedError: no frame came in that time.
         """
         while True:
             ended = self.ended  # first: a frame may come before the end is seen

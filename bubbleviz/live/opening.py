@@ -168,7 +168,7 @@ def sensor_for_source(
 class SensorPlace(Section):
     """One sensor of a session."""
 
-    name: str = Field(min_length=1)  # also what its topics begin with
+    name: str = Field(min_length=1)  # also the prefix of its topics
     sensor: str  # sensor file or preset
     source: str  # as `--source`
     # position_m, quaternion_xyzw: T_W_B

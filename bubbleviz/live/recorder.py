@@ -27,7 +27,7 @@ from bubbleviz.wording import count_of
 SYNC_S = 0.4  # interval of fsync, s: the most that a crash can lose
 FLUSH_BYTES = 1 << 20
 """Messages buffered before a flush: the most that a full disk can lose."""
-QUEUE_BYTES = 256 << 20  # messages that may wait for the disk; beyond it the source has to wait
+QUEUE_BYTES = 256 << 20  # most that may wait for the disk; beyond it the source waits
 PRE_ROLL_BYTES = 256 << 20  # memory for messages before recording starts; chosen
 
 STATIC_BYTES = 1 << 20  # of static poses, the latest ones: some 10,000 links
@@ -81,8 +81,9 @@ class Recorder:
             return
         with self._lock:
             if are_static_poses(message.topic, message.type):
+                # sent only once, but needed in every recording
                 self._static.pop(message.payload, None)
-                self._static[message.payload] = message  # sent once: every recording needs it
+                self._static[message.payload] = message
                 while sum(map(len, self._static)) > STATIC_BYTES:
                     del self._static[next(iter(self._static))]
             session = self._session
@@ -207,7 +208,7 @@ class _Session:
                 self._file.abandon()
 
     def _saved(self) -> str:
-        """What the file has in spite of a failed write, in words."""
+        """Text: what the file contains after a failed write."""
         kept = Kept() if self._file is None else self._file.kept
         if self._replaces:
             return "nothing was saved, the earlier recording was restored"

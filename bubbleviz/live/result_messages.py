@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -93,10 +94,7 @@ class ResultMessages:
     ) -> Message:
         """State of the source and of the estimate."""
         kinds = ros2_types().types
-        entry, pair = (
-            kinds["diagnostic_msgs/msg/DiagnosticStatus"],
-            kinds["diagnostic_msgs/msg/KeyValue"],
-        )
+        entry, pair = (kinds[f"diagnostic_msgs/msg/{n}"] for n in ("DiagnosticStatus", "KeyValue"))
         estimate = None if result is None else result.estimate
         values = {name: str(value) for name, value in counters.as_dict().items()}
         if estimate is not None and result is not None:
@@ -286,16 +284,11 @@ def _traction_center(_: ResultMessages, header: Any, result: Result) -> Any:
     return kinds[POINT](header, kinds["geometry_msgs/msg/Point"](*traction.center_m.tolist()))
 
 
-def _slip_share(_: ResultMessages, header: Any, result: Result) -> Any:
+def _slip(name: str, _: ResultMessages, header: Any, result: Result) -> Any:
+    """A number of the slip, by the name of its field."""
     if result.slip is None or _friction(result) is None:
         return None
-    return ros2_types().types[NUMBER](float(result.slip.share))
-
-
-def _slip_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
-    if result.slip is None or _friction(result) is None:
-        return None
-    return ros2_types().types[NUMBER](float(result.slip.share_sigma))
+    return ros2_types().types[NUMBER](float(getattr(result.slip, name)))
 
 
 class ResultTopic(NamedTuple):
@@ -316,7 +309,7 @@ RESULT_TOPICS = {
     "traction_wrench": ResultTopic(WRENCH, "traction", _traction_wrench),
     "traction_wrench_sigma": ResultTopic(WRENCH, "traction", _traction_sigma),
     "traction_center": ResultTopic(POINT, "traction", _traction_center),
-    "slip_share": ResultTopic(NUMBER, "slip", _slip_share),
-    "slip_share_sigma": ResultTopic(NUMBER, "slip", _slip_sigma),
+    "slip_share": ResultTopic(NUMBER, "slip", partial(_slip, "share")),
+    "slip_share_sigma": ResultTopic(NUMBER, "slip", partial(_slip, "share_sigma")),
 }
 """Topics by name after the prefix."""

@@ -51,9 +51,7 @@ class TopicNames:
 
     def wants(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic and type can be this sensor's."""
-        if are_static_poses(
-            topic, kind
-        ):  # of every sensor; they have the pose of the colour camera
+        if are_static_poses(topic, kind):  # of any sensor, for the pose of the colour camera
             return self.with_colour
         if not topic.startswith(self.prefix):
             return False

@@ -265,9 +265,9 @@ def listening_warning(options: SessionOptions) -> str:
     who = "whoever knows the login" if given.login else "anybody"
     if parts[1] == "tls" and given.ca and given.cert:
         who = f"whoever has a certificate signed by {given.ca}"
-    told = f"{options.listen} is open to other computers: {who} on the network can connect"
-    told += "; give --login to prevent that" if who == "anybody" else ""
-    return told + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")
+    text = f"{options.listen} is open to other computers: {who} on the network can connect"
+    text += "; give --login to prevent that" if who == "anybody" else ""
+    return text + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")
 
 
 def connected(session: Any) -> bool:

@@ -28,7 +28,7 @@ from bubbleviz.recordings.bag_storage import (
 from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, begins_as_cdr, header_stamp_ns
 
 UNREADABLE = -1  # in place of the stamp of a message without a header
-MAX_UNREADABLE = 100  # messages at the beginning of a topic that are tried for the first one
+MAX_UNREADABLE = 100  # most messages at the start of a topic to search for a readable one
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,8 @@ class Bag:
             raise InputError(
                 f"{self.path}: no such recording, or no access to it; check path and permissions"
             )
-        self.ros1 = (
-            self.path.suffix.lower() == ".bag"
-        )  # whether messages are serialised as in ROS 1
+        # whether messages are serialised as in ROS 1
+        self.ros1 = self.path.suffix.lower() == ".bag"
         try:
             with as_input_error(self.path, "the recording"):
                 self._open()
@@ -99,7 +98,7 @@ class Bag:
             return Messages(self, topic, parts)
 
     def _open(self) -> None:
-        # whether messages are compressed one by one, so that the first bytes of one need all of it
+        # whether each message is compressed, so that its first bytes need all of it
         self.inflates = False
         if self.ros1:
             self._storages = self._ros1_files()

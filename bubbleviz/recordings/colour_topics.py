@@ -27,8 +27,8 @@ from bubbleviz.recordings.depth_topics import (
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 STATIC_TRANSFORMS = "/tf_static"
 
-_MAX_POSES = 10_000  # kept, the last ones
-_MAX_NAMES = 1000  # letters of both frames of reference
+_MAX_POSES = 10_000  # most poses kept, the latest ones
+_MAX_NAMES = 1000  # most letters of both names of a pose
 _MAX_LINKS = 100  # between a frame of reference and its root; more are a loop
 
 
@@ -41,17 +41,17 @@ def are_static_poses(topic: str, kind: str) -> bool:
 class StaticPoses:
     """Tree of the static poses received so far."""
 
-    # of each frame of reference the one above it, and its pose (4, 4) in that
+    # parent of each frame of reference, and its pose (4, 4) in the parent
     parents: Mapping[str, tuple[str, np.ndarray]] = field(default_factory=dict)
 
     def after(self, message: Any) -> StaticPoses:
-        told = {
+        received = {
             _bare(each.child_frame_id): (_bare(each.header.frame_id), pose_of(each.transform))
             for each in message.transforms
             if len(each.child_frame_id) + len(each.header.frame_id) <= _MAX_NAMES
         }
-        known = {name: pose for name, pose in self.parents.items() if name not in told}
-        latest = list({**known, **told}.items())[-_MAX_POSES:]
+        known = {name: pose for name, pose in self.parents.items() if name not in received}
+        latest = list({**known, **received}.items())[-_MAX_POSES:]
         return StaticPoses(dict(latest))
 
     def pose(self, frame: str, base: str) -> np.ndarray | None:
@@ -131,8 +131,8 @@ def is_called_colour(topic: str) -> bool:
 def _namespace(topic: str, words: tuple[str, ...]) -> str:
     """Topic name before the part with one of the words, or before the last part."""
     parts = topic.split("/")
-    said = (k for k, part in enumerate(parts) if any(word in part.lower() for word in words))
-    namespace = "/".join(parts[: next(said, len(parts) - 1)])
+    named = (k for k, part in enumerate(parts) if any(word in part.lower() for word in words))
+    namespace = "/".join(parts[: next(named, len(parts) - 1)])
     return re.sub(r"/sensor_\d+$", "", namespace)  # two sensors of one RealSense camera
 
 
@@ -185,7 +185,7 @@ def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
 
 
 def _pose_by_extrinsics(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
-    """The same of a `.bag` of the RealSense library, whose images name no frame of reference.
+    """As `_relative_pose`, for a `.bag` of the RealSense library, whose images name no frame.
 
     Each stream has the pose of a common reference in its camera.
     """

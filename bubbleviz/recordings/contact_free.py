@@ -15,8 +15,8 @@ from bubbleviz.wording import count_of
 SIGNIFICANT = 6.0  # standard deviations, which noise practically never exceeds
 
 _TILE_PX = 8  # side; chosen: 64 samples average noise out, a fingertip still fills several tiles
-_COVERED = 0.01  # share of the image that a contact must change to count
-_SUSTAINED = 3  # frames in a row: a contact lasts, a glitch does not
+_COVERED = 0.01  # smallest share of the image that a contact changes
+_SUSTAINED = 3  # frames in a row; a shorter change is a glitch
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def _score(values: np.ndarray) -> np.ndarray:
     sigma = np.maximum(sigma, max(typical, np.finfo(float).eps * float(np.abs(values).max())))
     end = MIN_FRAMES
     score = np.zeros(len(values))
-    for _ in range(4):  # the rest state from ever more frames, as they are found to be at rest
+    for _ in range(4):  # rest state from more frames, as they are found to be at rest
         rest = np.median(values[:end], axis=0)
         score = np.quantile(np.abs(values - rest) / sigma, 1.0 - _COVERED, axis=1)
         found = max(MIN_FRAMES, _first_change(score))

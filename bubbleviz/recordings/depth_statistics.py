@@ -176,7 +176,7 @@ def upper_fence(values: np.ndarray, deviations: float) -> float:
 
 
 LAG = 5  # frames; longer than the memory of the camera's temporal filter
-MIN_FRAMES = 5  # frames below which neither a median nor a spread per pixel means anything
+MIN_FRAMES = 5  # fewest frames for a median and a spread of each pixel
 
 _CLIP_SIGMA = 3.0  # samples further from the median are outliers
 _IMAGES = 20  # for the spatial correlation: neighbours in time are redundant

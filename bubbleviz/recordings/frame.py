@@ -30,7 +30,7 @@ class Frame:
     depth_m : (H, W) float32 array
         z-depth in metres; NaN where there is no return.
     intrinsics : Intrinsics or None
-        From the recording's CameraInfo, which wins over the sensor file's.
+        From the recording's CameraInfo, instead of the sensor file's.
     gas_pressure_pa : float or None
         Absolute gas pressure at the frame's time, in Pa.
     wrench : (6,) array or None
@@ -123,6 +123,12 @@ class FrameSource(Protocol):
 def shown_name(source: FrameSource) -> str:
     """Name of a source in messages: the path of a file, else its name."""
     return str(getattr(source, "path", None) or source.name)
+
+
+def check_index(index: int, source: FrameSource) -> None:
+    """Raise IndexError unless a source has a frame of this index."""
+    if not 0 <= index < len(source):
+        raise IndexError(f"frame {index} is outside 0 … {len(source) - 1} of {shown_name(source)}")
 
 
 FROZEN_AFTER = 30  # equal images in a row, a second of most cameras; chosen
@@ -221,8 +227,7 @@ class HeldFrames:
         return len(self._frames)
 
     def __getitem__(self, index: int) -> Frame:
-        if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.name}")
+        check_index(index, self)
         return self._frames[index]
 
     def close(self) -> None:

@@ -19,7 +19,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error, checked, read_npy, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
-from bubbleviz.recordings.frame import Frame, usual_step
+from bubbleviz.recordings.frame import Frame, check_index, usual_step
 from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, metres, project_points
 from bubbleviz.recordings.recorded_colour import ColourAround
 from bubbleviz.recordings.time_series import Moment, Series, values_at
@@ -52,7 +52,7 @@ class ImageFolder:
         self,
         folder: str | Path,
         *,
-        intrinsics: Intrinsics | None = None,  # None: the sensor file's will count
+        intrinsics: Intrinsics | None = None,  # None: the sensor file's are used
         times_s: np.ndarray | None = None,  # (F,), on the clock of the other measurements
         # in place of times. Without either the names are stamps, in s or ns.
         rate_hz: float | None = None,
@@ -116,8 +116,7 @@ class ImageFolder:
 
     def __getitem__(self, index: int) -> Frame:
         """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
-        if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
+        check_index(index, self)
         time_s, stamp_ns = float(self.times_s[index]), self._stamp_ns(index)
         moment = Moment(stamp_ns, stamp_ns)
         colour = None
@@ -145,9 +144,9 @@ class ImageFolder:
         folder = next((self.path / name for name in FOLDERS if (self.path / name).is_dir()), None)
         if folder is None:
             return None
-        told = next((path for name in INTRINSICS if (path := folder / name).is_file()), None)
-        intrinsics = None if told is None else read_intrinsics(told)
-        camera = colour_camera(intrinsics, None, own=told is not None)
+        file = next((path for name in INTRINSICS if (path := folder / name).is_file()), None)
+        intrinsics = None if file is None else read_intrinsics(file)
+        camera = colour_camera(intrinsics, None, own=file is not None)
         files: dict[float | None, Path] = {}
         for path in sorted(folder.iterdir()):
             number = _number(path.stem)
@@ -255,7 +254,7 @@ def is_image_folder(path: str | Path) -> bool:
 def read_intrinsics(path: str | Path) -> Intrinsics:
     """Intrinsics from TOML or JSON, in a table `camera` or not, with the keys of a sensor file.
 
-    Raises InputError: the file cannot be read, or lacks a number; says which.
+    Raises InputError: the file cannot be read, or a number is missing.
     """
     path = Path(path)
     if path.suffix.lower() == ".json":

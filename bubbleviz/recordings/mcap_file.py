@@ -24,7 +24,7 @@ class Kept:
 
 
 class McapFile:
-    """A rosbag2 recording in the making: `X.mcap`, or a folder with one in it and its metadata.
+    """A rosbag2 recording that is being written: `X.mcap`, or a folder with it and metadata.
 
     Unlike other outputs it has its final name from the first message on: nothing written is lost,
     and `Recording` and `mcap recover` open an unfinished file up to its last complete chunk.
@@ -58,7 +58,7 @@ class McapFile:
             raise cannot_write(self.path, error) from error
         self.count = 0  # messages written
         self.synced_bytes = 0  # size that is safely on disk
-        self.kept = Kept()  # what remains of it if the disk fills up
+        self.kept = Kept()  # as of the last flush, which remains if the disk fills up
         self._first_ns = self._last_ns = 0
         self._channels: dict[tuple[str, str], int] = {}
         self._counts: dict[tuple[str, str], int] = {}

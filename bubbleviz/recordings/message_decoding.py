@@ -20,9 +20,9 @@ COMPRESSED = "compressedDepth"
 REALSENSE_ENCODING = "mono16"
 """Of the depth images that the RealSense library records, in units of the device."""
 
-_PNG_SIZE = struct.Struct(">II")  # after the signature, and the begin of its first chunk
+_PNG_SIZE = struct.Struct(">II")  # after the signature and the start of the first chunk
 _CONFIGURATION = struct.Struct("<iff")
-"""Of a compressed depth image: its kind of compression, A and B."""
+"""Header of a compressed depth image: format, A and B."""
 
 _MODELS: dict[str, DistortionModel] = {
     "": "none",
@@ -40,7 +40,8 @@ MAX_DEPTH_M = 1e4
 
 
 def decode_depth(
-    message: Any,  # the latter as ROS's `compressed_depth_image_transport` makes it, with PNG
+    # `sensor_msgs/Image`, or `CompressedImage` of `compressed_depth_image_transport` (PNG only)
+    message: Any,
     metres_per_unit: float | None = None,  # of an image in `REALSENSE_ENCODING`
 ) -> np.ndarray:
     """z-depth of an image message, shape (H, W), float32, m; NaN where no return.
@@ -75,7 +76,7 @@ def encoding_of(message: Any) -> str:
 
 
 def _decode_compressed(message: Any) -> np.ndarray:
-    """As `decode_depth`: 12 bytes of configuration, then a PNG of 16 bits.
+    """As `decode_depth`, of 12 bytes of configuration and a 16-bit PNG.
 
     Its pixels q are mm for `16UC1`; for `32FC1`, q = A/z + B with A and B of the configuration,
     which resolves near depths better.

@@ -37,7 +37,7 @@ class Message(NamedTuple):
     # topic, type: as in ROS 2: `/depth/image`, `sensor_msgs/msg/Image`
     topic: str
     type: str
-    payload: bytes  # CDR with its encapsulation header; of a live source it may be garbage
+    payload: bytes  # CDR with its encapsulation header; from a live source it may be invalid
     stamp_ns: int = 0  # header stamp, ns; 0 where it is unset or cannot be read
     arrival_ns: int = 0  # arrival of a live message, ns since 1970; else 0
     sequence: int | None = None  # the publisher's own count, where the transport has one
@@ -111,7 +111,7 @@ class FrameMessages:
         self,
         # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
-        # what the topic names begin with, and the name of the depth camera's frame in the headers
+        # prefix of the topics, and of the name of the depth camera's frame in the headers
         prefix: str = "/bubble",
     ) -> None:
         self._encoding, self._prefix = encoding, prefix.rstrip("/")

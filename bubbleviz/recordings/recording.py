@@ -34,7 +34,7 @@ from bubbleviz.recordings.depth_topics import (
     has_data,
     metres_per_unit,
 )
-from bubbleviz.recordings.frame import Frame, FrameSource, usual_step
+from bubbleviz.recordings.frame import Frame, FrameSource, check_index, usual_step
 from bubbleviz.recordings.message_decoding import (
     DEPTH_ENCODINGS,
     decode_cloud,
@@ -105,12 +105,11 @@ class Recording:
 
     def __getitem__(self, index: int) -> Frame:
         """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
-        if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} is outside 0 … {len(self) - 1} of {self.path}")
+        check_index(index, self)
         index = int(index)
         with self._lock, as_input_error(self.path, f"frame {index}"):
             k = int(self._order[index])
-            depth = self._nothing if index in self._bad else self._decoded(self._images.message(k))
+            depth = self._empty if index in self._bad else self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
                 raise ValueError(
                     f"its image has {depth.shape[1]}×{depth.shape[0]} pixels, the first image "
@@ -147,7 +146,7 @@ class Recording:
 
     @property
     def bad_frames(self) -> tuple[int, ...]:
-        """Frames whose message is too short to hold an image: theirs has no return anywhere.
+        """Frames whose message is too short for an image; their depth is NaN everywhere.
 
         If more than 4096 images were stamped when they were logged, only a sample is checked; other
         bad frames are reported when they are read.
@@ -270,8 +269,8 @@ class Recording:
             shorter = np.flatnonzero(~bad & (sizes < np.median(sizes)))
             bad[shorter] = [not self._is_whole(k) for k in shorter.tolist()]
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
-        self._nothing = np.full(self.size[::-1], np.nan, np.float32)
-        self._nothing.flags.writeable = False
+        self._empty = np.full(self.size[::-1], np.nan, np.float32)  # image of a bad frame
+        self._empty.flags.writeable = False
         self.stamps_ns = stamps[order]  # (F,) int64, the stamps they come from, ns
         # (F,), time of each frame since the first, s
         self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9

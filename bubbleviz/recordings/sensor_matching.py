@@ -89,7 +89,7 @@ def preset_of_size(
 ) -> str:
     """Name of the one sensor preset whose camera has images of this size.
 
-    Raises UnknownCameraError: None has, or several have.
+    Raises UnknownCameraError: no preset has, or several have.
     """
     names = preset_names("sensors")
     cameras = {name: load_sensor(name).camera for name in names}

@@ -30,7 +30,7 @@ FORWARD_NS = 10_000_000_000
 """Stamps may advance by this much more than arrivals, after a network delay. Beyond it the clock
 was set, or the stamp is invalid."""
 TRUSTED_AFTER = 3
-"""Consistent stamps in a row that outweigh the ones before."""
+"""Consistent stamps in a row after which the publisher's clock was set."""
 GARBAGE_NS = 3_600_000_000_000
 """A recorded stamp more than one hour off the others is from an unset clock."""
 _VALUES_KEPT = 10_000
@@ -128,7 +128,7 @@ def values_at(series: Mapping[str, Series[np.ndarray]], moment: Moment) -> dict[
 Verdict = Literal["ok", "jump", "duplicate", "out_of_order", "bad"]
 
 
-class Judgement(NamedTuple):
+class CheckedStamp(NamedTuple):
     """A verdict, and the time to use on the publisher's clock, ns."""
 
     verdict: Verdict
@@ -138,7 +138,7 @@ class Judgement(NamedTuple):
 class _Stamped(NamedTuple):
     stamp: int
     arrival: int
-    times: int
+    in_a_row: int  # number of consistent stamps
 
 
 class StampClock:
@@ -152,33 +152,33 @@ class StampClock:
         self._last: _Stamped | None = None
         self._suspect: _Stamped | None = None
 
-    def judge(self, stamp_ns: int, arrival_ns: int) -> Judgement:
+    def check(self, stamp_ns: int, arrival_ns: int) -> CheckedStamp:
         """Verdict on the next message; `bad` ones are timed by their arrival."""
         last = self._last
         if last is None:
             if stamp_ns <= 0:
-                return Judgement("bad", arrival_ns)
+                return CheckedStamp("bad", arrival_ns)
             return self._accept("ok", stamp_ns, arrival_ns)
         step = stamp_ns - last.stamp
         if step == 0:
-            return Judgement("duplicate", stamp_ns)
+            return CheckedStamp("duplicate", stamp_ns)
         late = arrival_ns - last.arrival < REORDERED_NS  # else it is a clock that was set back
         if -REORDERED_NS < step < 0 and late:
-            return Judgement("out_of_order", stamp_ns)
+            return CheckedStamp("out_of_order", stamp_ns)
         if stamp_ns > 0 and _follows(stamp_ns, arrival_ns, last):
             return self._accept("ok", stamp_ns, arrival_ns)
         if stamp_ns > 0 and self._trusted(stamp_ns, arrival_ns):
             return self._accept("jump", stamp_ns, arrival_ns)
-        return Judgement("bad", last.stamp + max(arrival_ns - last.arrival, 0))
+        return CheckedStamp("bad", last.stamp + max(arrival_ns - last.arrival, 0))
 
-    def _accept(self, verdict: Verdict, stamp: int, arrival: int) -> Judgement:
+    def _accept(self, verdict: Verdict, stamp: int, arrival: int) -> CheckedStamp:
         self._last, self._suspect = _Stamped(stamp, arrival, 0), None
-        return Judgement(verdict, stamp)
+        return CheckedStamp(verdict, stamp)
 
     def _trusted(self, stamp: int, arrival: int) -> bool:
         before = self._suspect
         follows = before is not None and _follows(stamp, arrival, before)
-        count = before.times + 1 if before is not None and follows else 1
+        count = before.in_a_row + 1 if before is not None and follows else 1
         self._suspect = _Stamped(stamp, arrival, count)
         return count >= TRUSTED_AFTER
 
@@ -205,16 +205,16 @@ class GrowingSeries(Series[T]):
         """Add a message, or replace one of the same time; returns the verdict on its stamp."""
         if not self._stamps:
             self.by_arrival = stamp_ns == 0
-        judged = Judgement("ok", arrival_ns)
+        checked = CheckedStamp("ok", arrival_ns)
         if not self.by_arrival:
-            judged = self._clock.judge(stamp_ns, arrival_ns)
-        if judged.verdict == "jump":
+            checked = self._clock.check(stamp_ns, arrival_ns)
+        if checked.verdict == "jump":
             self._drop(len(self))
-        k = bisect_left(self._stamps, judged.time_ns)
-        same = slice(k, k + (self._stamps[k : k + 1] == [judged.time_ns]))
-        self._stamps[same], self._items[same] = [judged.time_ns], [item]
+        k = bisect_left(self._stamps, checked.time_ns)
+        same = slice(k, k + (self._stamps[k : k + 1] == [checked.time_ns]))
+        self._stamps[same], self._items[same] = [checked.time_ns], [item]
         self._drop(bisect_left(self._stamps, self._stamps[-1] - self._kept_ns))
-        return judged.verdict
+        return checked.verdict
 
     def covers(self, moment: Moment) -> bool:
         """Whether a message at least as new as a moment arrived, or none is expected soon."""

@@ -256,24 +256,24 @@ class Bench:
 
     def _row(
         self,
-        sighting: SimulatedPress,
+        simulated: SimulatedPress,
         noise: DepthNoise,
         setup: Setup,
         pipeline: Pipeline,
         zeros: Zeros,
     ) -> Row:
         frames = (
-            zeros.applied(self.bank.frame(sighting, noise, k, setup.stride))
+            zeros.applied(self.bank.frame(simulated, noise, k, setup.stride))
             for k in range(self._grid.repeats + 1)
         )
         pipeline.restart()
         cold, *warm = (pipeline.process(frame, PRODUCTS) for frame in frames)
         solved = [r for r in warm if r.estimate is not None and r.estimate.status == "ok"]
-        errors = [errors_of(pipeline, result, sighting, setup.stride) for result in solved]
+        errors = [errors_of(pipeline, result, simulated, setup.stride) for result in solved]
         means: dict[str, Any] = {f.name: over(errors, f.name, np.mean) for f in fields(Errors)}
         statuses = [r.estimate.status for r in warm if r.estimate is not None]
         residuals = [r.estimate.kkt_residual for r in solved if r.estimate is not None]
-        press = sighting.press
+        press = simulated.press
         return Row(
             **means,
             specimen=self._own.name,
@@ -284,7 +284,7 @@ class Bench:
             depth_share=round(press.depth_m / self.height_m, 6),
             noise=noise_name(noise),
             setup=setup.label,
-            force_n=float(np.linalg.norm(sighting.truth.force_n)),
+            force_n=float(np.linalg.norm(simulated.truth.force_n)),
             nodes=len(pipeline.mesh.nodes),
             status=next((s for s in statuses if s != "ok"), "ok"),
             failed=len(warm) - len(solved),
@@ -295,16 +295,16 @@ class Bench:
 
 
 def errors_of(
-    pipeline: Pipeline, result: Result, sighting: SimulatedPress, stride: int = 1
+    pipeline: Pipeline, result: Result, simulated: SimulatedPress, stride: int = 1
 ) -> Errors:
     """Errors of a pipeline's result with an estimate, a patch and its pixels.
 
     The ground truth is on another mesh of the same surface; pixels are every stride-th of it.
     """
-    estimate, patch, truth = result.estimate, result.patch, sighting.truth
+    estimate, patch, truth = result.estimate, result.patch, simulated.truth
     if estimate is None or patch is None or patch.pixel_mask is None:
         raise ValueError("the result lacks the estimate, the patch or its pixels")
-    expected = at_nodes(pipeline.mesh, sighting.mesh, truth.displacement_m)
+    expected = at_nodes(pipeline.mesh, simulated.mesh, truth.displacement_m)
     force = float(np.linalg.norm(truth.force_n))
     offset = patch.center_of_pressure_m - truth.center_of_pressure_m
     return Errors(

@@ -203,23 +203,23 @@ class _Bench:
 
     def rows(self, press: Press, random: np.random.Generator) -> list[Row]:
         """Rows of one press, from every initial pose."""
-        sighting, grid = self._bank.simulate(press), self._grid
+        simulated, grid = self._bank.simulate(press), self._grid
         self._pipeline.restart()
-        truth, T_B_O = sighting.truth, self._bank.pose(press)
-        touched = sighting.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
+        truth, T_B_O = simulated.truth, self._bank.pose(press)
+        touched = simulated.mesh, truth.displacement_3d_m, truth.contact_pressure_pa
         true = self._metrics.touching(*touched, T_B_O)
-        observed, rows = self._observed(sighting, true), []
+        observed, rows = self._observed(simulated, true), []
         for number in range(grid.starts):
             errors = random.standard_normal((2, 3))
             errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
             initial_pose = moved(true.T_B_O, errors.ravel(), true.center)
             self._pipeline.track(self._model.obj, initial_pose)
-            rows.append(self._row(sighting, true, observed, number))
+            rows.append(self._row(simulated, true, observed, number))
         return rows
 
-    def _observed(self, sighting: SimulatedPress, true: TrueContact) -> TrueContact:
+    def _observed(self, simulated: SimulatedPress, true: TrueContact) -> TrueContact:
         """The contact with the directions that an image of it determines."""
-        depth = self._pipeline.camera.depth_image(sighting.range_m).astype(np.float32)
+        depth = self._pipeline.camera.depth_image(simulated.range_m).astype(np.float32)
         result = self._pipeline.process(Frame(0, 0.0, depth), frozenset({"estimate", "patch"}))
         if result.estimate is None or result.patch is None:
             return true
@@ -231,24 +231,24 @@ class _Bench:
         if image is None:
             return true
         J = image.jacobian @ about(true.center, image.center)
-        sigma = self._grid.noise_relative * float(np.nanmedian(sighting.range_m))
+        sigma = self._grid.noise_relative * float(np.nanmedian(simulated.range_m))
         return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
 
     def _row(
-        self, sighting: SimulatedPress, true: TrueContact, observed: TrueContact, number: int
+        self, simulated: SimulatedPress, true: TrueContact, observed: TrueContact, number: int
     ) -> Row:
         grid, camera = self._grid, self._pipeline.camera
         noise = DepthNoise(relative=grid.noise_relative)
         times = []
         for k in range(FRAMES):
-            ranges = noise.apply(sighting.range_m, grid.seed + number, k)
+            ranges = noise.apply(simulated.range_m, grid.seed + number, k)
             depth = camera.depth_image(ranges).astype(np.float32)
             result = self._pipeline.process(Frame(k, k / 30.0, depth), frozenset({"pose"}))
             times.append(result.times_ms.get("pose", np.nan))
         pose = result.pose
         row = Row(
-            sighting.press.object_name,
-            sighting.press.depth_m,
+            simulated.press.object_name,
+            simulated.press.depth_m,
             "none" if pose is None else pose.status,
             determined=int(true.directions.determined.sum()),
             seen=int(observed.directions.determined.sum()),
