@@ -412,30 +412,24 @@ def _new_run(
     return zeros, Run(pipeline.model, context, provenance)
 
 
+_NO_ESTIMATE = {
+    "implausible": "no frame looks like the membrane of this sensor; choose the sensor file of "
+    "this camera, and check the gas pressure and the unit of depth (m in 32FC1, mm in 16UC1)",
+    "not_converged": "no frame could be solved; try another --solver, and check tension and "
+    "prestretch in the sensor file",
+    "no_depth": "no valid depth in any frame; uncover or restart the camera, and record again",
+    "no_data": "too few depth pixels lie on the membrane in every frame; uncover the camera, or "
+    "choose the sensor file of this camera",
+}
+"""Why no frame has a trusted estimate, the most important reason first."""
+
+
 def _check_any_data(run: Run, any_depth: bool) -> None:
     """Raise InputError if no frame has a trusted estimate; `any_depth`: some have depth."""
-    statuses, name = set(run.status.tolist()), run.context["recording"]
-    if statuses & set(TRUSTED):
-        return
-    if "implausible" in statuses:
-        raise InputError(
-            f"{name}: no frame looks like the membrane of this sensor; choose the sensor file of "
-            "this camera, and check the gas pressure and the unit of depth (m in 32FC1, mm in "
-            "16UC1)"
-        )
-    if "not_converged" in statuses:
-        raise InputError(
-            f"{name}: no frame could be solved; try another --solver, and check tension "
-            "and prestretch in the sensor file"
-        )
-    if not any_depth:
-        raise InputError(
-            f"{name}: no valid depth in any frame; uncover or restart the camera, and record again"
-        )
-    raise InputError(
-        f"{name}: too few depth pixels lie on the membrane in every frame; "
-        "uncover the camera, or choose the sensor file of this camera"
-    )
+    statuses = set(run.status.tolist()) | (set() if any_depth else {"no_depth"})
+    if not statuses & set(TRUSTED):
+        why = next(text for status, text in _NO_ESTIMATE.items() if status in statuses)
+        raise InputError(f"{run.context['recording']}: {why}")
 
 
 _REASONS: dict[PoseStatus, str] = {

@@ -96,7 +96,7 @@ def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCam
     valid = depth_m[np.isfinite(depth_m)]
     if not valid.size:
         return  # measure_depth raises an error if this holds for all frames
-    drawn = (build_mesh(sensor).nodes - camera.center) @ camera.T_B_C[:3, 2]
+    drawn = camera.local(build_mesh(sensor).nodes)[:, 2]
     measured, expected = float(np.median(valid)), float(np.median(drawn))
     if not expected / _WRONG_UNIT < measured < expected * _WRONG_UNIT:
         raise InputError(

@@ -26,7 +26,6 @@ from .depth_statistics import (
     measure_depth as measure_depth,
     robust_sigma as robust_sigma,
     spatial_correlation as spatial_correlation,
-    stack_depth as stack_depth,
     student_factor as student_factor,
     temporal_correlation as temporal_correlation,
     tukey_loss as tukey_loss,

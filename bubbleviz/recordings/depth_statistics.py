@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -10,8 +9,8 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from bubbleviz.errors import InputError
-from bubbleviz.recordings.frame import Frame
 
+_REACH_PX = 32  # largest distance of correlations, if the image is large enough
 _THREADS = 2  # numpy sorts, sums and transforms without the interpreter's lock
 
 # Correlation of depth noise in time and space: cameras filter, so their noise is not white.
@@ -80,10 +79,9 @@ def spatial_correlation(
     deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN for no return
     sigma: np.ndarray,  # (H, W), spread of the same deviations, m
     stride: int = 1,  # use every n-th frame (neighbours in time are redundant)
-    reach: int = 32,  # largest distance, pixels; less where the image is small
 ) -> np.ndarray:
-    """Correlation of one frame's noise at 0, 1, … `reach` pixels along rows and columns."""
-    reach = min(reach, min(sigma.shape) // 2)
+    """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns."""
+    reach = min(_REACH_PX, min(sigma.shape) // 2)
 
     def products(image: np.ndarray) -> np.ndarray:
         noise = _standardised(image, sigma)
@@ -241,41 +239,19 @@ class DepthStatistics:
         return correlated_samples(self.spatial_correlation)
 
 
-def stack_depth(frames: Iterable[Frame] | np.ndarray) -> np.ndarray:
-    """Depth images as one (F, H, W) float32 array in m, NaN for no return."""
-    stack: np.ndarray
-    if isinstance(frames, np.ndarray):
-        stack = np.asarray(frames, np.float32)
-    else:
-        images = [frame.depth_m for frame in frames]
-        if len({image.shape for image in images}) > 1:
-            raise InputError(
-                "depth images: they differ in size; give frames of one camera and resolution"
-            )
-        stack = np.stack(images).astype(np.float32, copy=False) if images else np.empty((0, 0, 0))
-    if stack.ndim != 3:
-        raise InputError(
-            f"depth images: an array of shape {stack.shape}; give one of shape (frames, height, "
-            "width)"
-        )
-    if len(stack) < MIN_FRAMES:
-        raise InputError(
-            f"depth images: only {len(stack)}; give at least {MIN_FRAMES} without contact"
-        )
-    return stack
-
-
 def measure_depth(
-    # iterable of Frame, or (F, H, W) array, z-depth in m, NaN for no return
-    frames: Iterable[Frame] | np.ndarray,
+    depth: np.ndarray,  # (F, H, W) float32, z-depth in m; NaN: no return
     # (H, W), range along the ray per z-depth (`DepthCamera.range_per_depth`)
     range_per_depth: np.ndarray,
 ) -> DepthStatistics:
     """Measure every pixel over contact-free frames.
 
-    Raises InputError: fewer than 5 frames, sizes that differ, or no return at all.
+    Raises InputError: fewer than 5 frames, another size than the camera's, or no return at all.
     """
-    depth = stack_depth(frames)
+    if len(depth) < MIN_FRAMES:
+        raise InputError(
+            f"depth images: only {len(depth)}; give at least {MIN_FRAMES} without contact"
+        )
     if depth.shape[1:] != range_per_depth.shape:
         raise InputError(
             f"depth images: {depth.shape[2]}×{depth.shape[1]} pixels but the sensor file has "

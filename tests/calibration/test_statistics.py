@@ -11,14 +11,12 @@ from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import (
     DepthStatistics,
-    Frame,
     correlated_samples,
     error_of_mean,
     mean_inflation,
     measure_depth,
     robust_sigma,
     spatial_correlation,
-    stack_depth,
     tukey_slopes,
     tukey_weights,
     upper_fence,
@@ -43,13 +41,6 @@ def test_sigma_is_corrected_for_temporal_correlation():
     assert rms == pytest.approx(5e-5, rel=0.06)
     assert np.sqrt(np.mean(naive**2)) < 0.93 * 5e-5
     assert found.temporal_correlation[1] == pytest.approx(0.8, abs=0.06)
-
-
-def test_images_of_several_sizes_are_refused():
-    frames = [Frame(k, k / 30.0, np.full(shape, 0.1)) for k, shape in enumerate([(8, 9)] * 40)]
-    assert stack_depth(frames).shape == (40, 8, 9)
-    with pytest.raises(InputError, match="differ in size"):
-        stack_depth([*frames, Frame(40, 2.0, np.full((9, 8), 0.1))])
 
 
 def test_the_error_of_the_mean_of_a_correlated_series():
