@@ -291,10 +291,7 @@ class Traction:
     @property
     def contact_pressure_pa(self) -> np.ndarray:
         """Normal traction, (n,), Pa; 0 outside the contact."""
-        force = np.linalg.norm(self.nodal_force_n, axis=1)
-        share = np.linalg.norm(self.normal_force_n, axis=1) / np.where(force > 0.0, force, 1.0)
-        pressure: np.ndarray = share * np.linalg.norm(self.traction_pa, axis=1)
-        return pressure
+        return np.linalg.norm(self.parts_pa[0], axis=1)
 
     @property
     def parts_pa(self) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.camera.observer import BlockSquares, sagittas
-from bubbleviz.camera.raycast import RayCaster
+from bubbleviz.camera.raycast import RayCaster, sparse_rows, vector_columns
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 
@@ -106,8 +106,7 @@ class FlowObserver:
         self._point_of_pixel = np.full(len(camera.directions), -1)
         self._point_of_pixel[hits.ray] = np.arange(len(hits.ray))
         self._triangle, self._corners = hits.triangle, mesh.triangles[hits.triangle]
-        columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
-        self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
+        self._columns = vector_columns(mesh.triangles)
         self._barycentric = hits.barycentric
         rows_and_columns = np.divmod(hits.ray, camera.intrinsics.width)
         self._rest_px = np.stack(rows_and_columns[::-1], axis=1).astype(float)
@@ -169,11 +168,8 @@ class FlowObserver:
         barycentric = self._barycentric.take(point, axis=0)
         _, pixels, slopes = self._projected(nodes, point)
         values = slopes[:, :, None, :] * barycentric[:, None, :, None]
-        columns = self._columns.take(self._triangle[point], axis=0)
-        columns = np.broadcast_to(columns[:, None], (len(point), 2, 9))
-        starts = np.arange(0, values.size + 1, 9, dtype=np.int32)
-        shape = (2 * len(point), 3 * len(nodes))
-        jacobian = sparse.csr_array((values.ravel(), columns.ravel(), starts), shape=shape)
+        columns = self._columns.take(self._triangle[point], axis=0).repeat(2, axis=0)
+        jacobian = sparse_rows(values.reshape(-1, 9), columns, nodes.size)
         return ShapeFlow(pixels - self._rest_px[point], jacobian)
 
     def _projected(

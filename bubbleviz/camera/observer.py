@@ -13,7 +13,7 @@ from scipy import sparse
 
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel, UsedPixels
-from bubbleviz.camera.raycast import Hits, RayCaster
+from bubbleviz.camera.raycast import Hits, RayCaster, sparse_rows, vector_columns
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 
@@ -214,8 +214,7 @@ class RangeObserver:
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
         self._walk_m = _MAX_WALK * mesh.edge_length
-        columns = 3 * mesh.triangles[:, :, None] + np.arange(3)
-        self._columns = columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
+        self._columns = vector_columns(mesh.triangles)
         at_rest = self._caster.cast(mesh.nodes)
         self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
@@ -400,12 +399,8 @@ class RangeObserver:
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
         slopes = self._caster.slopes(nodes, hits)
-        values = hits.barycentric[:, :, None] * slopes[:, None]
-        starts = np.arange(0, values.size + 1, 9, dtype=np.int32)
-        jacobian = sparse.csr_array(
-            (values.ravel(), self._columns[hits.triangle].ravel(), starts),
-            shape=(len(hits.ray), 3 * len(nodes)),
-        )
+        values = (hits.barycentric[:, :, None] * slopes[:, None]).reshape(-1, 9)
+        jacobian = sparse_rows(values, self._columns[hits.triangle], nodes.size)
         return ShapeRanges(hits.ray, model, jacobian, hits, cast_at, nodes)
 
 

@@ -170,14 +170,8 @@ class UsedPixels:
 
     def of(self, some: np.ndarray) -> UsedPixels:
         """Pixels number `some` (j,)."""
-        return UsedPixels(
-            self.number[some],
-            self.block[some],
-            self.scale[some],
-            self.reference_m[some],
-            self.precision[some],
-            None if self.line is None else self.line.at(some),
-        )
+        arrays = {name: array[some] for name, array in vars(self).items() if name != "line"}
+        return UsedPixels(**arrays, line=None if self.line is None else self.line.at(some))
 
     def residuals(self, depth_m: np.ndarray) -> np.ndarray:
         """Measured minus reference range in a z-depth image (H, W), (k,), m; NaN: no return."""

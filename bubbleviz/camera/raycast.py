@@ -222,9 +222,7 @@ class RayCaster:
         """
         corners = self.triangles[hits.triangle]
         along = np.einsum("kij,kj->ki", directions[corners], self.slopes(nodes, hits))
-        starts = np.arange(0, corners.size + 1, 3)
-        values = (hits.barycentric * along).ravel()
-        return sparse.csr_array((values, corners.ravel(), starts), (len(corners), len(nodes)))
+        return sparse_rows(hits.barycentric * along, corners, len(nodes))
 
     def _facets(self, nodes: np.ndarray) -> _Facets:
         return _Facets.of(nodes - self.origin, self.triangles)
@@ -236,6 +234,18 @@ class RayCaster:
         along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
         barycentric = volumes / along[:, None]
         return Hits(ray, triangle, barycentric, facets.offset[triangle] / along)
+
+
+def sparse_rows(values: np.ndarray, columns: np.ndarray, count: int) -> sparse.csr_array:
+    """Sparse matrix (k, count) from the values and columns (k, j) of its rows."""
+    starts = np.arange(0, values.size + 1, values.shape[1], dtype=columns.dtype)
+    return sparse.csr_array((values.ravel(), columns.ravel(), starts), (len(values), count))
+
+
+def vector_columns(triangles: np.ndarray) -> np.ndarray:
+    """Columns (m, 9) int32 of the nodes of triangles in a matrix with three for each node."""
+    columns = 3 * triangles[:, :, None] + np.arange(3)
+    return columns.reshape(-1, 9).astype(np.int32)  # as SciPy keeps them
 
 
 # The membrane as the camera sees it, at full resolution.

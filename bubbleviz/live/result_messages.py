@@ -239,10 +239,6 @@ def _wrench_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
     return make_wrench(header, np.concatenate([estimate.force_sigma_n, torque]))
 
 
-def _markers(messages: ResultMessages, header: Any, result: Result) -> Any:
-    return messages.markers.of(header, result)
-
-
 def _object_pose(_: ResultMessages, header: Any, result: Result) -> Any:
     pose, kinds = result.pose, ros2_types().types
     if pose is None or pose.status != "ok":  # a stale pose is not published
@@ -304,7 +300,7 @@ RESULT_TOPICS = {
     "contact_patch": ResultTopic(POINT_CLOUD, "patch", _patch),
     "contact_wrench": ResultTopic(WRENCH, "patch", _wrench),
     "contact_wrench_sigma": ResultTopic(WRENCH, "patch", _wrench_sigma),
-    "contact_markers": ResultTopic(CONTACT_MARKERS, "patch", _markers),
+    "contact_markers": ResultTopic(CONTACT_MARKERS, "patch", lambda own, *of: own.markers.of(*of)),
     "object_pose": ResultTopic(POSE, "pose", _object_pose),
     "traction_wrench": ResultTopic(WRENCH, "traction", _traction_wrench),
     "traction_wrench_sigma": ResultTopic(WRENCH, "traction", _traction_sigma),

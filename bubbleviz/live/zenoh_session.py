@@ -64,6 +64,8 @@ def _first_login(file: str) -> dict[str, str]:
 # Diagnosis of failed connections to a Zenoh endpoint: Zenoh itself gives no reason.
 
 
+_ENDPOINT = re.compile(r"(\w+)/\[?([^\[\]]+?)\]?:(\d+)")
+"""Protocol, host and port."""
 TIMEOUT_S = 1.0  # longest wait for an answer of the host, s; chosen
 UNTRUSTED = range(18, 22)  # OpenSSL's codes of certificates signed by no known authority
 
@@ -73,8 +75,8 @@ def why_no_session(
     given: Credentials,
 ) -> str:
     """Text: why there is no session, and what to do; empty if unknown."""
-    parts = re.match(r"(tcp|tls)/\[?([^\[\]]+?)\]?:(\d+)", endpoint)
-    if parts is None:
+    parts = _ENDPOINT.match(endpoint)
+    if parts is None or parts[1] not in ("tcp", "tls"):
         return ""
     protocol, host, port = parts[1], parts[2], int(parts[3])
     try:
@@ -258,7 +260,7 @@ def open_session(options: SessionOptions) -> Any:
 
 def listening_warning(options: SessionOptions) -> str:
     """Warning about a session that listens to other computers; else empty."""
-    parts = re.match(r"(\w+)/\[?([^\[\]]+?)\]?:\d+", options.listen or "")
+    parts = _ENDPOINT.match(options.listen or "")
     if parts is None or parts[2] == "localhost" or re.fullmatch(r"127\.[\d.]+|::1", parts[2]):
         return ""
     given = options.credentials
