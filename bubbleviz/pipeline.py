@@ -72,7 +72,7 @@ COLOUR_PRODUCTS: frozenset[Product] = frozenset(FLOW_PRODUCTS | {"texture", "col
 """Products that require the colour image."""
 
 FlowFunction = Callable[[Frame], "FlowField | None"]
-"""Optical flow from the contact-free colour image to that of a frame; None: not available."""
+"""Optical flow from the contact-free colour image to the image of a frame; None: unavailable."""
 
 _CONVERGED, _MAX_SOLVES = 1e-3, 8
 """Change of the contact pressure over its maximum at convergence, and most solves; two to four are
@@ -175,7 +175,7 @@ class Pipeline:
         options: FrameOptions | None = None,  # of its patch
         truth: np.ndarray | None = None,  # (H, W) bool, true pixels of a simulated patch
     ) -> Result:
-        """The result with those of `products` that are `DIAGNOSTICS`."""
+        """The result with the diagnostics among the products."""
         requested = products & DIAGNOSTICS.keys()
         if not requested:
             return result
@@ -321,7 +321,7 @@ class Pipeline:
 
     @property
     def _exact_bubble(self) -> RubberBubble:
-        """Raises InputError: the solver is not that of the exact membrane."""
+        """Raises InputError: the solver does not use the exact membrane."""
         bubble = self.estimator.bubble
         if self.estimator.solver_name != RUBBER:
             default = f" (the default, as sensor {self.model.sensor.name} has no prestretch)"

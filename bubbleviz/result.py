@@ -281,7 +281,7 @@ class Traction:
     # (n, 3), displacement from the reference surface minus its part along the deformed normal, m
     tangential_displacement_m: np.ndarray
     center_m: np.ndarray  # (3,), centre of the contact's normal force, m; NaN without contact
-    # (6, 6), of the force, N, and the torque about `center_m`, N·m, as of the estimate
+    # (6, 6), of the force, N, and the torque about `center_m`, N·m
     wrench_covariance: np.ndarray
     # rms over the contact of the standard deviation of a node's displacement by noise, per axis, m
     displacement_sigma_m: float = np.nan

@@ -32,8 +32,8 @@ _DRIFT_S = 600.0
 """Time after which the errors of the depth image may differ by as much as since the calibration: a
 depth camera warms up in about ten minutes."""
 _JITTER = 0.1
-"""Standard deviation of the errors of single images, over that of those since calibration. Measured
-on the real press, without contact: 0.01 mm."""
+"""Standard deviation of errors of single images, relative to errors since calibration. Measured on
+the real press, without contact: 0.01 mm."""
 _RENEWED_S = 60.0  # time after which live frames without contact determine these errors again
 
 
@@ -119,7 +119,7 @@ class ImageZero:
         return ImageErrors(known.mean, self._walk(time_s) + _JITTER**2 * since.covariance)
 
     def _walk(self, time_s: float) -> np.ndarray:
-        """Covariance (4, 4) of the errors at a time, without those of its image alone."""
+        """Covariance (4, 4) of the errors at a time, without the scatter of its image."""
         known, since = self._known, self._since_calibration
         assert known is not None and since is not None
         walked: np.ndarray = min(abs(time_s - self._time_s) / _DRIFT_S, 1.0) * since.covariance

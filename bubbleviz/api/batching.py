@@ -67,7 +67,7 @@ class BatchRow:
     mean_contact_measured_force_n: float = _NAN  # of the wrench, minus its contact-free bias
     median_residual_rms_m: float = _NAN
     median_ms: float = _NAN  # depth image in → patch out, without the first frame
-    worst_frame: int = -1  # the first untrusted one, else that of the largest residual
+    worst_frame: int = -1  # the first untrusted frame, else the frame with the largest residual
     worst_status: str = ""
     worst_residual_rms_m: float = _NAN
     sensor: str = ""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 Alignment = Literal["time", "contact"]
 """By the time since the start of each recording, or since its first frame with contact."""
-_SAME_S = 1e-4  # frames closer in time than this count as simultaneous
+_SAME_S = 1e-4  # largest time between simultaneous frames
 _STATISTICS: dict[str, Callable[[np.ndarray], Any]] = {
     "median": np.median,
     "p95": lambda values: np.percentile(values, 95.0),
@@ -67,7 +67,7 @@ class Comparison(SavedSummary):
 
     @property
     def area_difference_m2(self) -> np.ndarray:
-        """Area of the other patch less that of the first, (F,), m²."""
+        """Area of the other patch minus area of the first, (F,), m²."""
         return self.other_area_m2 - self.area_m2
 
     def facts(self) -> dict[str, Any]:
@@ -161,7 +161,7 @@ def compare(
     first, other : Run, sequence of Frame or path
         What `estimate` found with any options, a RESULT.npz, or a recording, which is estimated.
     sensor, other_sensor : str, path or Sensor, optional
-        Sensors of the recordings, as in `estimate`; that of the other is by default the same.
+        Sensors of the recordings, as in `estimate`; by default the same for both.
     align : {"time", "contact"}
         By the time since the start of each, or since its first frame with contact.
     out : path, optional

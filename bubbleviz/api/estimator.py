@@ -36,7 +36,7 @@ PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 _DRIFT_IMAGES = 10_000
 """Most recent images used for the drift warning: five minutes of a stream."""
 _WRONG_UNIT = math.sqrt(10.0)
-"""Ratio of depths to those of the membrane at rest beyond which they are in a wrong unit: the
+"""Ratio of depths to depths of the membrane at rest beyond which they are in a wrong unit: the
 geometric mean of 1 and 10, the smallest wrong factor (0.1 mm taken for 1 mm)."""
 
 

@@ -49,7 +49,7 @@ class BlockSquares:
         block: np.ndarray,  # (k,) int, positions in `blocks`
         z: np.ndarray,  # (k,), errors in standard deviations; 0 where nothing was measured
     ) -> float:
-        """Noise factor: σ of errors over that of their noise; 1 where there are too few.
+        """Noise factor: σ of the errors over the expected σ; 1 if there are too few errors.
 
         By the median of their sums over squares, in which model errors and correlated noise, which
         are similar in neighbouring blocks, do not average out.
@@ -127,7 +127,7 @@ class ShapeRanges:
 class Misfit:
     rms_m: float  # weighted root mean square of the block residuals, m
     deviations: float  # typical block residual in standard deviations
-    # variance of the sums over squares of blocks over that of white residuals: 1 for white noise,
+    # variance of sums over squares of blocks, relative to white residuals: 1 for white noise,
     # the number of blocks worth one sample where noise is correlated
     clumping: float
 
@@ -142,7 +142,7 @@ class RangeObserver:
         noise_relative: float,  # σ of range / range, without a pixel calibration
         pixels: PixelModel | None = None,  # calibration of each pixel
         block: int = 1,  # side of a block in pixels
-        # (H·W,) int, triangle of each pixel at rest, as of `MembraneView`; computed if None
+        # (H·W,) int, triangle of each pixel at rest, as `MembraneView.at_rest`; computed if None
         seen: np.ndarray | None = None,
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block

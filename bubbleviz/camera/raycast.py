@@ -92,7 +92,7 @@ class RayCaster:
         return self.hits_on(nodes, self.first(nodes, rays), rays)
 
     def hits_on(self, nodes: np.ndarray, first: np.ndarray, rays: np.ndarray | None = None) -> Hits:
-        """As `cast`, for rays whose triangles are known, as of `first`; −1: no hit."""
+        """As `cast`, if the triangle that each ray meets is known, as from `first`."""
         hit = np.flatnonzero(first >= 0)
         ray = hit if rays is None else np.asarray(rays)[hit]
         # in double precision, on the triangle that single precision found

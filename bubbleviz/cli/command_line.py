@@ -116,7 +116,7 @@ def _fail(message: str, code: int) -> NoReturn:
 
 
 class AllCommands(OneLineErrors):
-    """The backend's commands, and those of the window, which are imported on use."""
+    """Commands of the backend, and commands of the window, which are imported on use."""
 
     def list_commands(self, context: click.Context) -> list[str]:
         return sorted({*self.commands, *entry_points(group=WINDOW_GROUP).names})

@@ -63,7 +63,7 @@ colour_delay_option = click.option(
     metavar="S",
     type=click.FloatRange(-MAX_COLOUR_DELAY_S, MAX_COLOUR_DELAY_S),
     help="Stamp of a colour image minus that of the depth image of the same scene, s; negative "
-    "if colour leads depth. By default that of the sensor file, else 0.",
+    "if colour leads depth. By default the sensor file's, else 0.",
 )
 source_option = click.option(
     "--source",

@@ -359,7 +359,7 @@ def validate(recording: Path, **options: Any) -> None:
 @click.argument("first", metavar="A", type=PATH)
 @click.argument("other", metavar="B", type=PATH)
 @sensor_option
-@option("--other-sensor", help="Sensor file or preset of B; by default that of A.")
+@option("--other-sensor", help="Sensor file or preset of B; by default the same as for A.")
 @option(
     "--align",
     type=click.Choice(["time", "contact"]),

@@ -42,7 +42,7 @@ _Property = tuple[str, np.dtype, np.dtype | None]
 """Name, type, and for a list the type of its length."""
 _Element = tuple[str, int, list[_Property]]  # name, number of rows, properties
 _Columns = Mapping[str, np.ndarray | list[np.ndarray]]
-"""Values of each row by property: one, or those of a list."""
+"""Values of each row by property: one value, or the values of a list."""
 
 
 def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -149,7 +149,7 @@ class FrameAssembler:
         self._names = names or TopicNames()
         # size: width and height that images must have; None until the first where any will do
         self.size, self._camera = size, camera
-        self.other_size: tuple[int, int] | None = None  # of the last image that was of another size
+        self.other_size: tuple[int, int] | None = None  # of the last image of a wrong size
         self._known = KnownCameras("")
         self._begin()
 

@@ -174,9 +174,9 @@ class SensorPlace(Section):
     # position_m, quaternion_xyzw: T_W_B
     position_m: Vector3 = (0.0, 0.0, 0.0)
     quaternion_xyzw: UnitQuaternion = (0.0, 0.0, 0.0, 1.0)
-    # of what is drawn of it, as #rrggbb
+    # of its layers, as #rrggbb
     colour: str = Field(default="#4f8fd0", pattern="^#[0-9a-fA-F]{6}$")
-    # in place of the sensor file's `camera.colour_delay_s`
+    # instead of the sensor file's `camera.colour_delay_s`
     colour_delay_s: ColourDelay | None = None
 
     @property

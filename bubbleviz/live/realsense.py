@@ -39,11 +39,11 @@ class RealSenseLive(LiveSource):
         sdk: Any,  # `pyrealsense2`
         *,
         serial: str | None = None,  # of the camera; the first one found by default
-        file: Path | None = None,  # a recording in place of a camera
+        file: Path | None = None,  # a recording instead of a camera
         size: tuple[int, int] = (640, 480),  # width and height to ask a camera for, pixels
         rate: int = 30,  # frames a second to ask a camera for
         loop: bool = False,  # begin a recording again at its end
-        prefix: str = "/bubble",  # what the topic names begin with
+        prefix: str = "/bubble",  # prefix of the topics
     ) -> None:
         super().__init__(str(file.name if file else serial or "RealSense"))
         self._sdk, self._serial, self._file = sdk, serial, file

@@ -46,15 +46,15 @@ _UINT8, _FLOAT32 = 2, 7  # datatypes of sensor_msgs/PointField
 class ResultMessages:
     """Makes the messages of results; everything is in the bubble's frame B.
 
-    After the prefix are the `RESULT_TOPICS`; there are also `/tf_static` and `/diagnostics`. Of an
-    estimate that is not to be trusted there are no numbers: the membrane has no pressure, the
-    markers and the diagnostics say why.
+    Topics are the prefix and a name of `RESULT_TOPICS`, `/tf_static` and `/diagnostics`. There are
+    no numbers for an untrusted estimate: the membrane has no pressure, and markers and diagnostics
+    say why.
     """
 
     def __init__(
         self,
         mesh: MembraneMesh,  # of the pipeline that makes the results
-        prefix: str = "/bubble",  # what the topic names begin with
+        prefix: str = "/bubble",  # prefix of the topics
         frame_id: str = "bubble",  # name of B in the headers
         obj: RigidObject | None = None,  # that is tracked
         model: SensorModel | None = None,  # for the residuals of the nodes; None: unknown

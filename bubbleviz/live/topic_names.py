@@ -41,7 +41,7 @@ class TopicNames:
     pressure: str | None = None
     wrench: str | None = None
     colour: str | None = None
-    prefix: str = ""  # topics that do not begin with it belong to another sensor
+    prefix: str = ""  # topics without it belong to another sensor
     with_colour: bool = False  # whether colour images are requested
 
     def expected_type(self, topic: str) -> str | None:

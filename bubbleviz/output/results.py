@@ -57,7 +57,7 @@ NODAL_FIELDS: dict[str, tuple[int, ...]] = {
 `patch_level` is positive; the last two exist only with the product traction."""
 
 _COVARIANCE = "wrench_covariance"
-"""Key of RESULT.npz with that of `Estimate`, (F, 6, 6); no columns of the CSV."""
+"""Key of RESULT.npz with the covariance of `Estimate`, (F, 6, 6); not in the CSV."""
 
 _OF_SHEAR = ("traction_pa", "tangential_displacement_m")
 

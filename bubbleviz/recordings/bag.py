@@ -27,7 +27,7 @@ from bubbleviz.recordings.bag_storage import (
 )
 from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, begins_as_cdr, header_stamp_ns
 
-UNREADABLE = -1  # in place of the stamp of a message without a header
+UNREADABLE = -1  # instead of the stamp, for a message without a header
 MAX_UNREADABLE = 100  # most messages at the start of a topic to search for a readable one
 
 

@@ -276,7 +276,7 @@ def _check_whole(path: Path) -> None:
 MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
 _SCHEMA_OP, _CHANNEL_OP, _MESSAGE_OP, _CHUNK_OP, _INDEX_OP = range(3, 8)
-_UNCHUNKED = -1  # in place of a chunk's number
+_UNCHUNKED = -1  # chunk number of messages outside chunks
 _MAX_MESSAGES = 10_000_000  # of a topic in a file without an index: four days at 30 Hz
 
 
@@ -326,7 +326,7 @@ class McapStorage:
         """Read chunks, topics and counts from the end of a file; returns whether all are there."""
         from mcap.reader import SeekingReader  # loaded with the first MCAP file
 
-        file.seek(0)  # where the library looks for what an MCAP file begins with
+        file.seek(0)  # the library checks the magic bytes at the start
         summary = SeekingReader(file, record_size_limit=MAX_SIZE).get_summary()
         chunks = [] if summary is None else summary.chunk_indexes
         if summary is None or not (chunks and all(c.message_index_offsets for c in chunks)):

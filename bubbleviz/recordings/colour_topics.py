@@ -152,7 +152,7 @@ def is_own(info: str, colour: str, depth: str) -> bool:
 def colour_camera(
     intrinsics: Intrinsics | None, T_D_C: np.ndarray | None, *, own: bool
 ) -> ColourCamera:
-    """Colour camera from camera info and poses, with a note on what is missing or assumed."""
+    """Colour camera from camera info and poses, with a remark on missing and assumed values."""
     remarks = []
     if intrinsics is None:
         remarks.append("no calibrated camera info of this image size")

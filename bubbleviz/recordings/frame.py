@@ -198,7 +198,7 @@ class CachedFrames:
         return len(self._source)
 
     def __getitem__(self, index: int) -> Frame:
-        """Frame number `index`; errors as of the source."""
+        """Frame number `index`; the same errors as the source."""
         if index in self._frames:
             return self._frames[index]
         frame = self._source[index]

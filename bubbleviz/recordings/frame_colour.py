@@ -30,7 +30,7 @@ class FrameColour:
             return cls(reason="the colour image cannot be read or decoded")
 
     def aligned(self, depth: DepthCamera) -> bool:
-        """Whether its pixels are those of the depth image."""
+        """Whether its pixels have the same rays as the pixels of the depth image."""
         same = self.camera.intrinsics == depth.intrinsics
         return same and np.array_equal(self.camera.T_D_C, np.eye(4))
 

@@ -54,7 +54,7 @@ class ImageFolder:
         *,
         intrinsics: Intrinsics | None = None,  # None: the sensor file's are used
         times_s: np.ndarray | None = None,  # (F,), on the clock of the other measurements
-        # in place of times. Without either the names are stamps, in s or ns.
+        # instead of times; without either, file names are time stamps in s or ns
         rate_hz: float | None = None,
         # of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given
         metres_per_unit: float | None = None,

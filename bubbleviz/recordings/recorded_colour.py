@@ -42,7 +42,7 @@ class RecordedColour:
         bag: Bag,
         topic: Topic,  # of the colour images
         depth: Topic,  # of the depth images
-        # runs a function that reads a message, one at a time, errors as of a damaged file
+        # calls a function that reads a message; one at a time, with the errors of a damaged file
         reading: Callable[[Callable[[], EncodedImage]], EncodedImage],
         *,
         by_log: bool = False,  # whether frames are timed by their log times

@@ -182,7 +182,7 @@ class Recording:
         return Moment(int(self.stamps_ns[index]), int(self._log_ns[index]))
 
     def _colour_near(self, index: int, after_s: float) -> ColourImage | None:
-        """Colour image nearest to a time after that of a frame."""
+        """Colour image nearest to the time of a frame plus a delay, s."""
         if self.colour is None:
             return None
         time_s = float(self.times_s[index])
@@ -217,7 +217,7 @@ class Recording:
         return True
 
     def _size_of(self, first: Any, info_topic: str | None) -> tuple[int, int]:
-        """Width and height of the images; those of a cloud without rows are its camera's."""
+        """Width and height of the images; for a cloud without rows, of its camera."""
         if self.depth_topic.type == COMPRESSED_IMAGE:
             with as_input_error(self.path, f"the first image on {self.depth_topic.name}"):
                 height, width = decode_depth(first).shape

@@ -32,7 +32,7 @@ class RecordingWriter:
         *,
         # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
-        overwrite: bool = False,  # replace what is at `path`
+        overwrite: bool = False,  # replace an existing recording
     ) -> None:
         self.path = Path(path)
         self.count = 0

@@ -218,7 +218,7 @@ class _Bench:
         return rows
 
     def _observed(self, simulated: SimulatedPress, true: TrueContact) -> TrueContact:
-        """The contact with the directions that an image of it determines."""
+        """The contact, with the directions that one image determines."""
         depth = self._pipeline.camera.depth_image(simulated.range_m).astype(np.float32)
         result = self._pipeline.process(Frame(0, 0.0, depth), frozenset({"estimate", "patch"}))
         if result.estimate is None or result.patch is None:
