@@ -288,7 +288,7 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
     """
     path = Path(path)
     if path.suffix != ".toml":
-        raise InputError(f"{path}: not a name of a sensor file; give one that ends in .toml")
+        raise InputError(f"{path}: not the name of a sensor file; give one that ends in .toml")
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
         # Files appear in reverse order: the sensor file last, after the files that it names.

@@ -93,7 +93,7 @@ def check_out(out: str | Path | None, *, overwrite: bool) -> None:
         return
     if Path(out).suffix not in ("", ".csv", ".json", *_PICTURES):
         raise InputError(
-            f"{out}: not a name of a plot, a table or numbers; end it in .png, .svg, .pdf, .csv or "
+            f"{out}: not the name of a plot, table or numbers; end it in .png, .svg, .pdf, .csv or "
             ".json, or give a folder without a dot in its name"
         )
     refuse_existing(Path(out), overwrite=overwrite)

@@ -121,7 +121,7 @@ def open_mp4(
     """
     path = Path(path)
     if path.suffix.lower() != ".mp4":
-        raise InputError(f"{path}: not a name of a video; give one that ends in .mp4")
+        raise InputError(f"{path}: not the name of a video; give one that ends in .mp4")
     if not 0.0 < fps <= 1000.0:
         raise InputError(f"{path}: {fps:g} pictures per second; choose above 0, up to 1000")
     with whole_file(path) as temporary, tempfile.TemporaryFile() as messages:

@@ -71,7 +71,8 @@ class LazyChunk:
         crc: int = 0,  # CRC-32 of the decompressed bytes, 0 for none; checked once all are there
     ) -> None:
         if codec not in _DECOMPRESSORS:
-            raise ValueError(f"compression {codec[:20]!r} is none of {', '.join(_DECOMPRESSORS)}")
+            known = ", ".join(_DECOMPRESSORS)
+            raise ValueError(f"compression {codec[:20]!r} is not one of {known}")
         if size > MAX_SIZE:
             raise ValueError(
                 f"a chunk of {size} bytes is above the limit of {MAX_SIZE} bytes: it is damaged, "
