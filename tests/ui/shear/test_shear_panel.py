@@ -247,3 +247,34 @@ def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     plot.draw(None, Unit("mN", 1e3, 0))
     assert plot.force.getData()[0] is None or not len(plot.force.getData()[0])
     plot.close_canvas()
+
+
+def test_a_frame_has_one_force_whatever_was_shown_before(drive, rubber):
+    pytest.importorskip("cv2")
+    source = PressedSpeckles(rubber)
+    driver = drive(open_source=lambda _: source, sensor=rubber, frame=len(source) - 1)
+    window, last = driver.window, len(source) - 1
+    label, panel = window.status.labels["force"], window.shear
+
+    def force():
+        return label.text(), driver.state.history.values["force_n"][last]
+
+    by_depth = force()
+    driver.show("shear")
+    for k in (*range(COLLECTED + 1), last):
+        driver.seek(k)
+    assert panel.state.text() == "depth and texture" and panel.copy.isEnabled()
+    by_colour = force()
+    assert by_colour != by_depth
+    window.panels["shear"].close()
+    driver.wait(lambda: driver.result.traction is None)
+    # numbers by depth and colour do not stay beside those by depth alone
+    assert np.isnan(driver.state.history.values["force_n"][:last]).all()
+    driver.wait_until_shown()
+    assert force()[0] == by_depth[0]
+    assert force()[1] == pytest.approx(by_depth[1], rel=1e-6)
+    # a number that depends on the frames before looks so, and is not copied
+    driver.show("shear")
+    driver.state.set_playing(True)
+    driver.wait(lambda: panel.values["force"].text().startswith("≈"))
+    assert not panel.copy.isEnabled()

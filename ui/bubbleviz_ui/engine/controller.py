@@ -76,8 +76,8 @@ class Analysis(QObject):
         """Store the numbers of the first frames, and request the others."""
         same = demand.patch_rule == self._state.settings.patch_rule
         known = {k: each for k, each in zip(frames, numbers, strict=False) if each}
-        self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
-        if frames is self._frames:
+        if frames is self._frames:  # else others were requested meanwhile
+            self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
             self._frames = frames[len(numbers) :]
             self._request_rest()
 
@@ -254,15 +254,19 @@ class Controller(QObject):
 
     def _on_settings(self, names: frozenset[str]) -> None:
         settings, sensor = self.state.settings, self.sensor
+        demand = Demand.of(settings)
         estimator = names & {"solver", "compared"} and self.opening.options != settings.options
         if estimator and sensor is not None:
             self.opening.reopen(f"again, solver: {solver_title(settings.solver)}", lambda: sensor)
         elif (
             "cloud_points" in names
             or ("pose_track" in names and settings.pose_track)  # its poses may be outdated
-            or not self.client.demand.covers(Demand.of(settings))
+            or not self.client.demand.covers(demand)
         ):
+            restarted = self.analysis.busy and demand.flow != self.client.demand.flow
             self._request_frame()
+            if restarted:
+                self.analysis.start()
         elif names & PATCH_SETTINGS:
             self.client.request_patch()
 

@@ -120,6 +120,8 @@ class SensorClient(QObject):
 
     def request_frame(self, index: int, demand: Demand, *, new_reference: bool = False) -> None:
         """Request a frame; `new_reference`: search the contact-free colour images again."""
+        if not self._comparable(demand):
+            self.history.forget()
         self.demand, self._background_s = demand, time.perf_counter() + IDLE_S
         if self._unscaled:
             self._scale_on()
@@ -318,7 +320,17 @@ class SensorClient(QObject):
             self.result = replace(result, patch=patched.patch)
         self.patched.emit(patched)
 
+    def _comparable(self, demand: Demand) -> bool:
+        """Whether its numbers may stand beside those of the last request in a recording.
+
+        Forces by depth alone and by depth and colour differ; each frame has one of them.
+        """
+        colour = self.facts is not None and self.facts.colour and not self.facts.grows
+        return not colour or demand.flow == self.demand.flow
+
     def _remember(self, index: int, numbers: Numbers, demand: Demand) -> None:
+        if not self._comparable(demand):
+            return
         same_patch = demand.patch_rule == self._state.settings.patch_rule
         self.history.record(index, numbers, patch=same_patch)
 

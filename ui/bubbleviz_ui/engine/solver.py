@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import partial
 from threading import Event
-from typing import Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -40,6 +40,9 @@ from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.shear.shear_reference import ShearReference
+
+if TYPE_CHECKING:
+    from bubbleviz.shear import FlowPreset
 
 N = TypeVar("N")
 ComparedOptions = tuple[EstimatorOptions, FrameOptions]
@@ -116,6 +119,7 @@ class EstimateCache:
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self._kept: OrderedDict[int, Kept] = OrderedDict()
         self._sizes: dict[int, int] = {}
+        self._flow: FlowPreset | None = None
         self._most = most_bytes
 
     def get(self, frame: int) -> Kept | None:
@@ -135,6 +139,13 @@ class EstimateCache:
         while sum(self._sizes.values()) > self._most:
             oldest, _ = self._kept.popitem(last=False)
             del self._sizes[oldest]
+
+    def use(self, flow: FlowPreset | None) -> None:
+        """Drop all if forces use colour images otherwise from now on; None: by depth alone."""
+        if flow != self._flow:
+            self._flow = flow
+            self._kept.clear()
+            self._sizes.clear()
 
     def restart(self, pipeline: Pipeline, frame: int) -> None:
         """Restart a pipeline for a frame from the nearest one solved, unless it was the last."""
@@ -187,6 +198,11 @@ class OpenSource:
         """The source if it is a recording of a sensor, else None."""
         return self.source if isinstance(self.source, Recording) else None
 
+    @property
+    def has_colour(self) -> bool:
+        """Whether its frames may have colour images."""
+        return self.recording is None or self.recording.colour is not None
+
     def frame(self, index: int) -> Frame:
         """Frame of the source; that of a recording with its zeros."""
         frame = self.source[index]
@@ -208,6 +224,8 @@ class OpenSource:
             frame = self.zeros.zeroed(frame, pipeline)
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
+        if self.has_colour:
+            self.estimates.use(demand.flow)
         estimate = None if products & FLOW_PRODUCTS else self.estimates.final(frame.index)
         if cold and estimate is None:
             pipeline.converge(frame)
@@ -475,6 +493,7 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
         # a live source that does not grow is the looped synthetic press
         simulated=opened.live if stream is None else stream.simulated,
         outages=() if stream is None else stream.outages,
+        colour=current.has_colour,
         path="" if opened.path is None else str(opened.path.resolve()),
         gas_zero="" if zero is None else zero.words,
     )

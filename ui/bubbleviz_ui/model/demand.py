@@ -73,6 +73,11 @@ class Demand:
         return replace(self, products=self.products - self.images)
 
     @property
+    def flow(self) -> FlowPreset | None:
+        """How forces use colour images; None: forces by depth alone."""
+        return self.flow_preset if self.products & FLOW_PRODUCTS else None
+
+    @property
     def needs_colour(self) -> bool:
         """Whether any product needs colour images."""
         return bool(self.products & COLOUR_PRODUCTS)
@@ -85,9 +90,8 @@ class Demand:
         return replace(self, options=replace(self.options, cloud_points=most // times))
 
     def covers(self, other: Demand) -> bool:
-        """Whether this demand includes everything in another one."""
-        same = other.flow_preset == self.flow_preset or not other.products & FLOW_PRODUCTS
-        return same and other.products <= self.products
+        """Whether this demand includes everything in another one, with the same forces."""
+        return other.flow == self.flow and other.products <= self.products
 
 
 def needed_products(settings: Settings) -> Products:

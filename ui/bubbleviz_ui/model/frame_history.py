@@ -115,6 +115,14 @@ class FrameHistory:
             self._has[frame] |= _PATCH
             self.contact[frame] = _contact(known)
 
+    def forget(self) -> None:
+        """Drop the numbers of all frames, as forces are estimated otherwise; scales stay."""
+        for values in (*self.values.values(), self._wrench):
+            values[:] = np.nan
+        self.contact[:] = UNKNOWN
+        for flags in (self._has, self._untouched, self._outdated):
+            flags[:] = 0
+
     def forget_patches(self) -> None:
         """Drop the patch numbers after a change of the threshold."""
         for name in PATCH_QUANTITIES:

@@ -35,6 +35,7 @@ class SourceFacts:
     simulated: bool = False  # Live frames come from a simulation
     # Intervals in which a live source sent nothing; frames dropped by a busy solver do not count
     outages: tuple[Gap, ...] = ()
+    colour: bool = False  # Its frames may have colour images
     path: str = ""  # Absolute path of a recording; empty for other sources
     gas_zero: str = ""  # Zero correction of a recording's gas pressure; empty if none was recorded
 

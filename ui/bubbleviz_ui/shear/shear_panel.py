@@ -96,25 +96,28 @@ STATES = {
 }
 
 
-def shear_texts(result: Result | None, units: Units) -> dict[str, str]:
-    """Texts by name, including `state`."""
+def shear_texts(result: Result | None, units: Units, *, final: bool = True) -> dict[str, str]:
+    """Texts by name, including `state`; `final` as for `force_text`."""
     traction = None if result is None else result.traction
     if result is None or traction is None:
         return dict.fromkeys(("state", *NUMBERS), DASH)
     numbers = ShearNumbers.of(traction, result.slip)
-    angle = _text(numbers.direction_deg, units.angle)
     known = math.isfinite(numbers.direction_deg[0])
     reason = f": {traction.reason}" if traction.reason else ""
-    return {
-        "state": STATES[traction.status] + reason,
-        "force": _text(numbers.force_n, units.force),
-        "normal": _text(numbers.normal_n, units.force),
-        "tangential": _text(numbers.tangential_n, units.force),
-        "direction": f"{angle}, {UNVERIFIED}" if known else DASH,
-        "torque": _text(numbers.torque_nm, units.torque),
-        "displacement": _text(numbers.displacement_m, units.length),
-        "slip": _text(numbers.slip_share, units.share),
+    measures: dict[str, tuple[Measure, Unit]] = {
+        "force": (numbers.force_n, units.force),
+        "normal": (numbers.normal_n, units.force),
+        "tangential": (numbers.tangential_n, units.force),
+        "direction": (numbers.direction_deg, units.angle),
+        "torque": (numbers.torque_nm, units.torque),
+        "displacement": (numbers.displacement_m, units.length),
+        "slip": (numbers.slip_share, units.share),
     }
+    about = "" if final or traction.status == "no_contact" else "≈ "
+    texts = {name: unit.with_interval(*measure) for name, (measure, unit) in measures.items()}
+    texts = {name: text if text == DASH else about + text for name, text in texts.items()}
+    texts["direction"] += f", {UNVERIFIED}" if known else ""
+    return {"state": STATES[traction.status] + reason, **texts}
 
 
 def shear_report(result: Result, units: Units) -> str:
@@ -124,10 +127,6 @@ def shear_report(result: Result, units: Units) -> str:
     lines += [f"status: {words['state']}"]
     lines += [f"{title}: {words[name]}" for name, title in NUMBERS.items()]
     return "\n".join(lines)
-
-
-def _text(measure: Measure, unit: Unit) -> str:
-    return unit.with_interval(*measure)
 
 
 SEARCHING = "Looking for contact-free colour images…"
@@ -193,14 +192,15 @@ class ShearPanel(QWidget):
         if "shear" not in self._state.settings.panels:
             return
         result = self._controller.result
-        words = shear_texts(result, self._state.units)
+        final = self._state.final
+        words = shear_texts(result, self._state.units, final=final)
         searching = DASH if result is None or result.estimate is None else SEARCHING
         self.reference.setText(self._controller.inspection.reference or searching)
         self.state.setText(words["state"])
         for name, label in self.values.items():
             label.setText(words[name])
         traction = None if result is None else result.traction
-        self.copy.setEnabled(traction is not None)
+        self.copy.setEnabled(traction is not None and final)
         ellipse = None if traction is None else ShearEllipse.of(traction)
         self.plot.draw(ellipse, self._state.units.force)
 
