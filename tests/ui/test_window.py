@@ -290,6 +290,8 @@ def test_window_force_and_panels_fit_a_small_screen(drive):
     assert window.layers.visibleRegion().boundingRect().height() > 50
     assert window.view.width() > 350 and window.view.height() > 150
     bars = window.view.width() * left_of_bars(window.view.width())
+    window.scene.reset_view()  # leaves a border
+    assert np.abs(window.view.projected(driver.pipeline.mesh.nodes)[:, :2]).max() < 0.98
     (rest,) = (text for text in text_actors(driver) if text.GetInput().startswith("peak"))
     assert 0.3 * bars < right_end(driver, rest) < bars
     # panels become tabs where the window would grow beyond the screen

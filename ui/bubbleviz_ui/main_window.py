@@ -37,7 +37,7 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
 from bubbleviz_ui.model.demand import StageTimes
 from bubbleviz_ui.model.hover import Hover
-from bubbleviz_ui.model.messages import OPENING, MessageKind, UserMessage
+from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKind, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -560,6 +560,8 @@ class MainWindow(QMainWindow):
         if opened.request.source is not self._source:  # reopening the same keeps the focus
             self._source = opened.request.source
             self.view.setFocus()
+            for topic in (SOURCE, CALIBRATION):
+                self.message.drop_topic(topic)
         self.message.drop_warnings()
         self.message.drop_topic(OPENING)
         name, camera = name_of(opened.sensor), opened.sensor.camera
@@ -602,7 +604,7 @@ class MainWindow(QMainWindow):
         self.scene.show(painted, self.state.settings)
 
     def _on_failed(self, failed: Failed) -> None:
-        message, topic = failed.message, ""
+        message, topic = failed.message, SOURCE
         if failed.key == "open":
             facts = self.state.facts
             stays = "" if facts is None or facts.is_empty else " The current source stays open."

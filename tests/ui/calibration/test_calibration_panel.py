@@ -194,6 +194,7 @@ def test_another_recording_starts_without_results(bench):
     assert panel.steps.button(0).toolTip().endswith("needs attention")
     bench.open("dent", DentSource, small_sensor(), playing=False)
     bench.wait(lambda: bench.state.facts.title == "dent")
+    assert not bench.window.message.isVisible()
     assert panel.steps.button(0).toolTip().endswith("to do")
     assert panel.pixels.numbers.text("used") == DASH
     panel.rectification.set_vented(Path("vented.mcap"))

@@ -37,6 +37,8 @@ def test_cursor_is_clamped_and_stepping_pauses():
     state.seek(9)
     state.set_playing(True)  # restarts at the first frame
     assert state.frame == 0
+    state.open(SourceFacts("image", "dome", np.zeros(1)), playing=True)
+    assert not state.playing  # a single frame would be solved again and again
 
 
 def test_only_changed_settings_are_signalled_and_settings_survive_a_new_source():

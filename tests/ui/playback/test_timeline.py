@@ -42,9 +42,12 @@ def test_contact_shading_seeking_and_range_by_clicks_and_drags(drive, monkeypatc
     assert driver.state.frame == 0 and "No further contact" in driver.window.notice.label.text()
     for frame in (FIRST_CONTACT - 1, FIRST_CONTACT, 6, 8, 7):
         driver.seek(frame)
-    force = driver.state.history.values["force_n"]
-    driver.key(Qt.Key.Key_Home, CTRL)
-    assert driver.state.frame == np.nanargmax(force)
+    force = driver.state.history.values["force_n"].copy()
+    driver.seek(0)
+    driver.state.change(speed=0.125)
+    driver.key(Qt.Key.Key_Space)
+    driver.key(Qt.Key.Key_Home, CTRL)  # stays there
+    assert driver.state.frame == np.nanargmax(force) and not driver.state.playing
     told = driver.window.notice.label.text()  # larger forces may be in the other frames
     assert "computed so far" in told and f"{np.isnan(force).sum()} frames" in told
     driver.key(Qt.Key.Key_PageUp, CTRL)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, DentSource, SpeckledSource, record, small_sensor
-from window_driver import clipboard_text, drawn_points, view_texts
+from window_driver import clipboard_text, drawn_points, text_actors, view_texts
 
 from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.recordings import LAG
@@ -114,6 +114,16 @@ def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_p
     record(tmp_path / "dent.mcap", list(DentSource(rubber))[:6])
     driver.open("dent", Source.of_recording(tmp_path / "dent.mcap"), rubber, playing=False)
     driver.wait(lambda: panel.reference.text().startswith("Depth alone: no colour images"))
+    # the texture's reason fits into a narrow view
+    window = driver.window
+    driver.state.change(layers=frozenset({"membrane", "texture"}))
+    window.resize(850, 427)
+    driver.wait(lambda: window.minimumSize().width() <= 675)
+    driver.resize(675, 427)
+    driver.wait_until_shown()
+    (note,) = (text for text in text_actors(driver) if "colour images" in text.GetInput())
+    note.GetBoundingBox(window.view.renderer, box := [0.0] * 4)
+    assert box[1] - box[0] < window.view.width() < 430
     # without the exact membrane: the advice is shown, also in the image
     driver.state.change(images=frozenset({"flow"}))
     driver.show("images")

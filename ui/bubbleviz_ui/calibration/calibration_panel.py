@@ -24,13 +24,13 @@ from bubbleviz.calibration import Step
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_page import Page
-from bubbleviz_ui.calibration.calibration_session import TOPIC, Calibration, Work
+from bubbleviz_ui.calibration.calibration_session import Calibration, Work
 from bubbleviz_ui.calibration.frames_page import FramesPage
 from bubbleviz_ui.calibration.levels_page import RectificationPage
 from bubbleviz_ui.calibration.pixels_page import PixelsPage, SurfacePage, TensionPage
 from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
 from bubbleviz_ui.engine.solver import OpenRequest
-from bubbleviz_ui.model.messages import UserMessage
+from bubbleviz_ui.model.messages import CALIBRATION, UserMessage
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
@@ -111,7 +111,7 @@ class CalibrationPanel(QWidget):
             self.calibration.saved = work
             remember_sensor(path, (named.sensor.camera.width, named.sensor.camera.height))
             controller = self.calibration.controller
-            controller.state.messages.add("notice", saved, file=path, topic=TOPIC)
+            controller.state.messages.add("notice", saved, file=path, topic=CALIBRATION)
             if self._unsaved_sensor is not None and controller.sensor is self._unsaved_sensor:
                 controller.opening.open_sensor_file(path)  # replaces the unsaved sensor
 
@@ -225,7 +225,7 @@ class CalibrationPanel(QWidget):
 
     def _on_message(self, message: UserMessage) -> None:
         """Remember the work that failed, until it changes."""
-        if message.topic == TOPIC:
+        if message.topic == CALIBRATION:
             self._failed_work = self.calibration.work if message.kind == "error" else None
 
     def _show(self) -> None:

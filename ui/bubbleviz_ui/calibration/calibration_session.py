@@ -21,6 +21,7 @@ from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.model.messages import CALIBRATION
 from bubbleviz_ui.model.undo import UndoRecorder, UndoStep
 from bubbleviz_ui.model.units import Units
 
@@ -92,8 +93,6 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
     )
 
 
-TOPIC = "calibration"
-"""Topic of messages."""
 CACHED_ANSWERS = 4
 """Results that undo can restore without computing."""
 
@@ -241,7 +240,9 @@ class Calibration(QObject):
         self.changed.emit()
 
     def _report_failure(self, failed: Failed) -> None:
-        self.controller.state.messages.add("error", failed.message, failed.details, topic=TOPIC)
+        self.controller.state.messages.add(
+            "error", failed.message, failed.details, topic=CALIBRATION
+        )
         self.changed.emit()
 
     def _on_opened(self, opened: Opened) -> None:

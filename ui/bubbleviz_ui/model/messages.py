@@ -13,6 +13,10 @@ from PySide6.QtCore import QObject, Signal
 MessageKind = Literal["notice", "warning", "error"]
 OPENING = "opening"
 """Topic of failures to open or connect."""
+SOURCE = "source"
+"""Topic of failures in the open source, until another one is open."""
+CALIBRATION = "calibration"
+"""Topic of the calibration of the open source."""
 MAX_MESSAGES = 1000
 """Bounds the memory if a source fails at every frame."""
 

@@ -163,8 +163,14 @@ class SessionState(QObject):
         self.history_changed.emit()
 
     def set_playing(self, playing: bool) -> None:
-        """Start or stop playback; started at the end, it begins at the first frame."""
-        if self.facts is None or playing == self.playing:
+        """Start or stop playback; started at the end, it begins at the first frame.
+
+        A single frame is not played: it would be solved again and again.
+        """
+        if self.facts is None:
+            return
+        playing &= self.facts.frames > 1 or self.facts.grows
+        if playing == self.playing:
             return
         first, last = self.play_range or (0, self.facts.frames - 1)
         outside = not first <= self.frame <= last

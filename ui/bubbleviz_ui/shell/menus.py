@@ -302,7 +302,7 @@ class Menus:
             self._window, "Go to frame", f"Frame, 0 to {last}", state.frame, 0, last
         )
         if chosen:
-            state.seek(frame)
+            state.step(frame - state.frame)
 
     def _seek_contact(self, direction: int) -> None:
         state = self._window.state
@@ -327,7 +327,7 @@ class Menus:
             text = SO_FAR_NONE.format(nothing) + (ANALYSE if self._frames_to_analyse else "")
             self._window.messages.add("notice", text)
         else:
-            self._window.state.seek(frame)
+            self._window.state.step(frame - self._window.state.frame)
 
     def _publish_at(self) -> None:
         state = self._window.state

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from bubbleviz_ui.view3d.layer import (
     pairs,
 )
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, text_at
+from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, text_at, text_size, wrap
 
 
 class MembraneLayer(Layer):
@@ -364,25 +363,23 @@ class ReadoutLayer(Layer):
         if self._width_ratio(self._rest) < 1.0:
             lines = self._details.replace("\n", SEPARATOR).split(SEPARATOR)
             self._rest.SetInput("\n".join(map(self._wrapped, lines)))
-        tall = share * (TOP + BELOW) + self._size_px(self._rest)[1]
+        tall = share * (TOP + BELOW) + text_size(self.canvas.view, self._rest)[1]
         if tall > MOST * height and not self._alarm.GetInput():  # whose details are the reason
             self._rest.SetInput("")
 
     def _wrapped(self, line: str) -> str:
         """Wrap a line to the available width."""
-        self._rest.SetInput(line)
-        share = self._width_ratio(self._rest)
-        return line if share >= 1.0 else textwrap.fill(line, max(math.floor(share * len(line)), 1))
+        return wrap(self.canvas.view, self._rest, line, self._width)
+
+    @property
+    def _width(self) -> float:
+        """Width left of the colour bars."""
+        width = self.canvas.view.size_px[0]
+        return width * (left_of_bars(width) - LEFT)
 
     def _width_ratio(self, text: Any) -> float:
-        """Width left of the colour bars over the width of a text."""
-        width = self.canvas.view.size_px[0]
-        return width * (left_of_bars(width) - LEFT) / max(self._size_px(text)[0], 1.0)
-
-    def _size_px(self, text: Any) -> tuple[float, float]:
-        view, box = self.canvas.view, [0.0] * 4
-        text.GetBoundingBox(view.renderer, box)
-        return (box[1] - box[0]) / view.pixel_ratio, (box[3] - box[2]) / view.pixel_ratio
+        """The available width over that of a text."""
+        return self._width / max(text_size(self.canvas.view, text)[0], 1.0)
 
 
 def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
@@ -498,6 +495,8 @@ def _put_arrows(
 TEXTURE_FADE = 0.1
 """Share of the pressure scale above which the pressure colours hide the texture."""
 NOTE = 15  # px, font
+NOTE_WIDTH = 0.9
+"""Of the view's width."""
 
 
 class TextureLayer(Layer):
@@ -530,6 +529,8 @@ class TextureLayer(Layer):
         self._note.GetTextProperty().SetJustificationToCentered()
         canvas.view.renderer.AddViewProp(self._note)
         self.actors.append(self._note)
+        self._reason = ""
+        canvas.view.rendering.connect(self._wrap_note)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Create the arrays for its nodes on the surface."""
@@ -541,12 +542,12 @@ class TextureLayer(Layer):
     def draw(self, picture: Picture) -> None:
         """Draw the image; nothing while the estimate is untrusted."""
         texture = picture.result.texture
-        self._note.SetInput("")
+        self._reason = ""
         self._set_drawn(texture is not None)
         if texture is None or picture.shape is None:
             return
         if texture.colour.rgb is None or texture.reason:
-            self._note.SetInput(texture.reason)
+            self._reason = texture.reason
             self.actor.SetVisibility(False)
             return
         self._take_image(texture.colour.rgb)
@@ -560,6 +561,12 @@ class TextureLayer(Layer):
         poly.point_data[self.SHADE][:, 3] = 255.0 * cover
         poly.Modified()
         self.actor.prop.opacity = settings.membrane_opacity
+
+    def _wrap_note(self) -> None:
+        view = self.canvas.view
+        self._note.SetInput(self._reason)
+        if self._reason:
+            wrap(view, self._note, self._reason, NOTE_WIDTH * view.size_px[0])
 
     def _take_image(self, rgb: np.ndarray) -> None:
         """Copy the pixels, rows from the top, into the texture."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 from typing import Any, Literal
 
@@ -60,6 +61,22 @@ def set_text_style(
         style.SetBackgroundColor(*(c / 255 for c in rgb(getattr(colours, ground))))
 
     view.follow_theme(paint)
+
+
+def text_size(view: View, text: vtkTextActor) -> tuple[float, float]:
+    """Width and height of a text, Qt pixels."""
+    box = [0.0] * 4
+    text.GetBoundingBox(view.renderer, box)
+    return (box[1] - box[0]) / view.pixel_ratio, (box[3] - box[2]) / view.pixel_ratio
+
+
+def wrap(view: View, text: vtkTextActor, line: str, width: float) -> str:
+    """Set the text to a line, wrapped to a width in Qt pixels; returns it."""
+    text.SetInput(line)
+    share = width / max(text_size(view, text)[0], 1.0)
+    if share < 1.0:
+        text.SetInput(textwrap.fill(line, max(math.floor(share * len(line)), 1)))
+    return str(text.GetInput())
 
 
 # Text anchored at a point of the 3-D view.

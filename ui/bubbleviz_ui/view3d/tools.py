@@ -258,15 +258,19 @@ def look_along(
     _fit_beside_bars(view, points_m)
 
 
+BORDER = 0.03
+"""Free border of a fitted view, as a share of half the view."""
+
+
 def _fit_beside_bars(view: View, points_m: np.ndarray) -> None:
     """Zoom out and pan until points (k, 3) fit left of the colour bars."""
     camera, free = view.camera, 2.0 * left_of_bars(view.width()) - 1.0
     camera.SetWindowCenter(0.0, 0.0)
     x, y, _ = view.projected(points_m).T
     left, right = float(x.min()), float(x.max())
-    smaller = min(1.0, 1.0 / float(np.abs(y).max()))
+    smaller = min(1.0, (1.0 - BORDER) / float(np.abs(y).max()))
     if smaller * right > free:
-        smaller = min(smaller, (1.0 + free) / (right - left))
+        smaller = min(smaller, (1.0 - BORDER + free) / (right - left))
     camera.zoom(smaller)
     camera.SetWindowCenter(max(smaller * right - free, 0.0), 0.0)
 
