@@ -170,6 +170,8 @@ def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
     assert driver.window.width() == 1280
     for label in labels.values():
         assert label.fontMetrics().horizontalAdvance(label.text()) <= label.width(), label.text()
+    for label in (labels["frame"], labels["force"]):  # whatever the other labels need
+        assert label.fontMetrics().horizontalAdvance(label.text()) <= label.minimumWidth()
     # every control has a tooltip, and labels say what they mean
     silent = []
     for name, panel in driver.window.panels.items():

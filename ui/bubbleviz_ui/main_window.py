@@ -244,10 +244,11 @@ class MainWindow(QMainWindow):
         # imports every kind of source: not at start
         from bubbleviz_ui.live.connect_dialog import ConnectDialog
 
-        sensor = self.controller.sensor
-        ConnectDialog(
-            self, self.live_controller, None if sensor is None else name_of(sensor)
-        ).open()
+        sensor, facts = self.controller.sensor, self.state.facts
+        # that of a simulation says nothing about the camera to connect
+        unknown = facts is None or facts.simulated
+        name = None if sensor is None or unknown else name_of(sensor)
+        ConnectDialog(self, self.live_controller, name).open()
 
     def show_export(self) -> None:
         """Open the export dialog."""

@@ -1,6 +1,7 @@
 """Connect dialog: topics, source argument, error messages."""
 
 import pytest
+from fakes import DentSource
 from live_bench import record_dents, sensor_file
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
@@ -8,6 +9,7 @@ from PySide6.QtWidgets import QDialogButtonBox, QFileDialog
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import Credentials, SessionOptions, open_session
 from bubbleviz.recordings import AUTO
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live import connect_dialog
 from bubbleviz_ui.live.connect_dialog import (
     KINDS,
@@ -148,3 +150,19 @@ def test_second_source_connects_two_sensors(open_bench):
     assert bench.run.preset.sensors[1].sensor == file
     choose_kind(dialog, PAIR)
     assert dialog.second.isHidden()
+
+
+def test_the_sensor_of_a_simulation_is_not_proposed_for_a_camera(drive, tmp_path):
+    file = sensor_file(tmp_path)
+    driver = drive(DentSource, sensor=load_sensor(file))
+
+    def proposed():
+        driver.trigger("Live › Connect")
+        dialog = driver.window.findChildren(ConnectDialog)[-1]
+        dialog.reject()
+        return dialog.sensor.currentData()
+
+    assert proposed() == file
+    driver.open("built-in press", DentSource, load_sensor(file), live=True)
+    driver.wait(lambda: driver.state.facts.simulated)
+    assert proposed() == AUTO

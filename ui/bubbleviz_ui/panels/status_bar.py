@@ -72,8 +72,8 @@ def widest_texts(units: Units) -> dict[str, str]:
     """The longest text to expect of each label."""
     return {
         "sensor": "soft-bubble 75 mm (preset)",
-        "frame": "frame 888/888 · 88.888 s",
-        "force": f"force {units.force.with_interval(88.88, 0.88)}",
+        "frame": "frame 888 of 0–888 · 88.888 s",
+        "force": f"force ≈ {units.force.with_interval(88.88, 0.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
         "gas": f"p_v {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
