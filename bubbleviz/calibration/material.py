@@ -16,7 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, robust_sigma
 from bubbleviz.result import HALF_95
-from bubbleviz.sensor import WEATHER_SIGMA_PA, Sensor
+from bubbleviz.sensor import Sensor
 
 _MAX_UNEXPLAINED = 0.25  # largest share of the change of range that the rubber model may not fit
 
@@ -115,8 +115,6 @@ def _estimate(
     names = ", ".join(each.source_name for each in shapes)
     source = f"the press in {names}" if pressed else f"inflation levels: {names}"
     known, gauge = RubberEstimate(shapes_kind="press" if pressed else "levels"), found.tension.gauge
-    if not gauge.known:
-        gauge = Quantity.normal(gauge.value, WEATHER_SIGMA_PA, gauge.source)
     try:
         problem = RubberProblem(found, shapes, level_sigma_pa, pressed=pressed)
         alone = problem.fit()
@@ -147,7 +145,8 @@ def _with_fit(
     the weighted mean the two errors add linearly, not in squares. A difference of the two gauge
     pressures beyond their deviations widens the interval as the Particle Data Group does. Beyond
     their 95 % intervals one of them is wrong, and the interval covers both of theirs.
-    λ counts as determined by its interval at the gauge pressure found.
+    λ counts as determined unless its interval at the gauge pressure found holds 1. One that holds
+    constant tension ends at the largest λ: rubber of the best λ is nearer to the truth than that.
     """
     change, unexplained = known.change_rms_m, known.unexplained_rms_m
     if unexplained > _MAX_UNEXPLAINED * change:
@@ -169,12 +168,14 @@ def _with_fit(
         both = f"{source}; {by_file.source}"
         found = replace(found, gauge=Quantity.normal(mean.value, sigma, both))
         covariance = covariance * (sigma / mean.sigma) ** 2
+    if fit.vector[0] < 1.01 * SMALLEST_Q:
+        why = f"the {found.shapes_kind} fit a constant tension best"
+        return replace(found, why_not=why)
     # variance of q at a fixed gauge pressure
     conditional = fit.covariance[0, 0] - fit.covariance[0, 1] ** 2 / fit.covariance[1, 1]
     q = Quantity.normal(float(fit.vector[0]), float(np.sqrt(max(conditional, 0.0))))
-    if not 0.0 < q.low <= q.high < 1.0:
-        what = "a constant tension" if q.low <= 0.0 else "λ = 1"
-        return replace(found, why_not=f"{what} fits the {found.shapes_kind} as well")
+    if q.high >= 1.0:
+        return replace(found, why_not=f"λ = 1 fits the {found.shapes_kind} as well")
     wide = Quantity.normal(float(fit.vector[0]), float(np.sqrt(covariance[0, 0])))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q.value, high, low))

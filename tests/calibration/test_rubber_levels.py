@@ -15,7 +15,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, prestressed
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber
+from bubbleviz.simulation import ATMOSPHERE_PA, DepthNoise, InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.round_sheet import round_sheet
 from tests.oracles.rubber_oracle import AxialRubber
@@ -130,6 +130,21 @@ def shifted(share):
 
 def level(found, share):
     return collect(shifted(share), found.given, range(FRAMES))
+
+
+def test_stretch_that_levels_hardly_tell_from_constant_tension():
+    """λ of 1.55: the interval holds it, and ends at constant tension."""
+    rubber, noise = round_sheet(0.045, 123.0, 1.4, 4000.0), DepthNoise(absolute_m=1e-4)
+    rest, *others = (
+        rubber.recording(share, k, noise, FRAMES, WIDTH)
+        for k, share in enumerate((1.0, 0.85, 1.15))
+    )
+    found = identify(rest, with_air(rubber.sensor(WIDTH), ATMOSPHERE_PA + 300.0), nodes=NODES)
+    found = with_rubber(found, [collect(each, found.given, range(FRAMES)) for each in others])
+    assert found.prestretch.low < rubber.prestretch < found.prestretch.high
+    assert found.prestretch.high > 3.0
+    assert found.prestretch.value == pytest.approx(rubber.prestretch, rel=0.1)
+    assert found.sensor.membrane.prestretch == pytest.approx(found.prestretch.value, abs=1e-4)
 
 
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
