@@ -55,6 +55,11 @@ leads depth, as with depth cameras that filter in time."""
 WEATHER_SIGMA_PA = 2e3 / 1.96
 """σ of the atmospheric pressure at one place, Pa: 95 % of the weather is within ±2 kPa."""
 
+STANDARD_ATMOSPHERE_PA, ALTITUDE_SIGMA_PA = 101_325.0, 5e3
+"""Atmospheric pressure at sea level, and the rms of what altitude takes from it, where people live:
+an exponential distribution with half of them above 194 m (Cohen and Small 1998) has 4.8 kPa, one
+with a quarter above 500 m, as they counted too, 6 kPa."""
+
 
 ATMOSPHERES = 30e3, 120e3
 """Plausible atmospheric pressures, Pa: from the highest mountain to a pressurised cabin."""
@@ -98,7 +103,9 @@ class Pneumatics(Section):
     """At least 50 Pa (5 mm of water), at most an atmosphere, where latex bursts."""
     gauge_sigma_pa: float | None = Field(default=None, gt=0.0, le=100e3)
     """Standard deviation of the gauge pressure; absent: from the calibration's interval, if any."""
-    atmospheric_pressure_pa: float = Field(default=101_325.0, ge=ATMOSPHERES[0], le=ATMOSPHERES[1])
+    atmospheric_pressure_pa: float = Field(
+        default=STANDARD_ATMOSPHERE_PA, ge=ATMOSPHERES[0], le=ATMOSPHERES[1]
+    )
     chamber_volume_m3: float = Field(ge=1e-7, le=10.0)
     """From 0.1 ml to 10 m³; values in litres are out of range."""
     tension_n_per_m: float | None = Field(default=None, ge=1e-3, le=1e6)
@@ -109,6 +116,11 @@ class Pneumatics(Section):
     def reference_pressure_pa(self) -> float:
         """Absolute pressure P0 in the reference configuration, Pa."""
         return self.atmospheric_pressure_pa + self.gauge_pressure_pa
+
+    @property
+    def atmosphere_is_local(self) -> bool:
+        """Whether the atmospheric pressure is that of a place, not the standard one."""
+        return self.atmospheric_pressure_pa != STANDARD_ATMOSPHERE_PA
 
 
 class Lens(Section):

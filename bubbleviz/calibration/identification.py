@@ -16,6 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import ContactFree, DepthStatistics, FrameSource, error_of_mean
 from bubbleviz.sensor import (
+    ALTITUDE_SIGMA_PA,
     ATMOSPHERES,
     MIN_NOISE,
     WEATHER_SIGMA_PA,
@@ -143,7 +144,8 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
 
     With the pressure of the open chamber, the difference of both recorded gas pressures. Else the
     sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
-    recorded pressure less the sensor file's atmospheric pressure, with the weather's deviation.
+    recorded pressure less the sensor file's atmospheric pressure, with the deviation of weather,
+    and of altitude if that is the standard atmosphere.
     Where the recorded pressure differs from that of the sensor file, either the weather or the
     inflation has changed, so the difference, up to the weather's, adds to the file's deviation.
     """
@@ -180,8 +182,11 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
             f"or {remedy}"
         )
     if vented is None:
-        source = f"the recorded gas pressure minus the atmospheric pressure in {in_file}"
-        return Quantity.normal(gauge, WEATHER_SIGMA_PA, source)
+        outside, sigma = f"the atmospheric pressure in {in_file}", WEATHER_SIGMA_PA
+        if not pneumatics.atmosphere_is_local:
+            outside = f"the standard atmosphere, as {in_file} has no local one"
+            sigma = float(np.hypot(sigma, ALTITUDE_SIGMA_PA))
+        return Quantity.normal(gauge, sigma, f"the recorded gas pressure minus {outside}")
     sigma = max(float(np.hypot(vented.sigma, error_of_mean(gas))), _RESOLUTION_PA)
     return Quantity.normal(gauge, sigma, vented.source)
 

@@ -48,10 +48,15 @@ class Quantity:
         """Standard deviation of a normal error with this interval."""
         return self.half_width / HALF_95
 
+    @property
+    def positive(self) -> tuple[float, float]:
+        """Ends of the interval as shown for what cannot be negative."""
+        return max(self.low, 0.0), self.high
+
     def texts(self, most: int) -> tuple[str, str, str]:
         """Value and ends with as many decimals as the interval justifies, `most` at most."""
         decimals = decimals_of(self.half_width, most)
-        value, low, high = (rounded(each, decimals) for each in (self.value, self.low, self.high))
+        value, low, high = (rounded(each, decimals) for each in (self.value, *self.positive))
         return value, low, high
 
     @classmethod

@@ -91,16 +91,21 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             " pressure and enter it in the sensor file."
         )
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
-    change = tension.gauge.value / given - 1.0
-    if rubber is not None and rubber.gauge_candidates is not None:
+    gauge = tension.gauge
+    change = gauge.value / given - 1.0
+    if rubber is not None and rubber.gauge_candidates is not None and rubber.contradicts_file:
         shapes, file = (_interval(each, pressure) for each in rubber.gauge_candidates)
-        if rubber.contradicts_file:
-            out.append(
-                f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} from "
-                f"{rubber.gauge_candidates[1].source}; one of them is wrong. Record the open "
-                "chamber for ten seconds (--vented)."
-            )
-    elif abs(change) > _USABLE:
+        out.append(
+            f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} from "
+            f"{rubber.gauge_candidates[1].source}; one of them is wrong. Record the open chamber "
+            "for ten seconds (--vented)."
+        )
+    elif gauge.half_width > _USABLE * gauge.value:
+        out.append(
+            f"The gauge pressure is known to ±{_percent(gauge.half_width / gauge.value)}, and every"
+            " force no better: record the open chamber for ten seconds (--vented)."
+        )
+    if (rubber is None or rubber.gauge_candidates is None) and abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
         known = found.vented is not None
         out.append(
@@ -145,8 +150,9 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
-    interval = f"95 % interval {pressure(gauge.low)} to {pressure(gauge.high)}"
-    gauge_text = f"{pressure(gauge.value)}, {interval if gauge.known else 'error unknown'}"
+    low, high = map(pressure, gauge.positive)
+    interval = f"95 % interval {low} to {high}" if gauge.known else "error unknown"
+    gauge_text = f"{pressure(gauge.value)}, {interval}"
     part = max(tension.parts, key=lambda name: tension.parts[name])
     of_tension = {
         "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
@@ -185,7 +191,8 @@ def _range(found: Quantity, most: int, unit: str = "") -> str:
 
 
 def _interval(gauge: Quantity, pressure: PressureText) -> str:
-    return f"{pressure(gauge.value)} ({pressure(gauge.low)} to {pressure(gauge.high)})"
+    low, high = map(pressure, gauge.positive)
+    return f"{pressure(gauge.value)} ({low} to {high})"
 
 
 def _percent(share: float) -> str:

@@ -118,6 +118,7 @@ def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa)
     assert verdict.grade == "doubtful"
     (row,) = (each for each in verdict.parameters if each.name == "gauge pressure")
     assert "open chamber for ten seconds" in row.narrower and row.told_by.endswith("sensor file")
+    assert any("every force no better: record the open chamber" in line for line in verdict.advice)
 
 
 def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
@@ -227,6 +228,18 @@ def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
         InputError, match="not a plausible atmospheric pressure; record the absolute pressure"
     ):
         rest_gauge(gauge_only, known)
+
+
+def test_standard_atmosphere_may_be_that_of_another_altitude(rest_samples):
+    """In a lab 225 m up; the same number as its local pressure would be wrong by more than σ."""
+    up = replace(
+        rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA + 98.7e3
+    )
+    local, unknown = (
+        rest_gauge(up, sensor_file(atmospheric_pressure_pa=air)) for air in (101_326.0, 101_325.0)
+    )
+    assert local.high < GAUGE_PA < unknown.high
+    assert local.value == pytest.approx(unknown.value - 1.0) and "standard" in unknown.source
 
 
 def test_open_chamber_replaces_the_gauge_pressure_of_the_file(rest_samples):
