@@ -200,6 +200,12 @@ class Sensor(Section):
         """Path of a file named in the sensor file."""
         return self.folder / file
 
+    @property
+    def files(self) -> list[Path]:
+        """Paths of the sensor file, and of the mesh and the pixels named in it."""
+        pixels = self.calibration.pixels_file if self.calibration else None
+        return [self.resolve(name) for name in (self.file, self.membrane.mesh_file, pixels) if name]
+
 
 def load_sensor(name: str | Path | Sensor) -> Sensor:
     """Sensor from a TOML file or, if there is no such file, the preset of that name.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from bubbleviz.api.estimating import Recorded, SensorName, estimate
+from bubbleviz.api.estimating import Recorded, SensorName, estimate, path_of
 from bubbleviz.api.results import Run, load_run
 from bubbleviz.api.saved_summary import SavedSummary, axis_columns, check_out
 from bubbleviz.errors import InputError
@@ -185,7 +185,7 @@ def compare(
     >>> found = bv.compare("before.mcap", "after.mcap", "mine.toml", align="contact")
     >>> found.facts()["median_force_difference_n"]
     """
-    check_out(out, overwrite=overwrite)
+    check_out(out, path_of(first), path_of(other), overwrite=overwrite)
     sensors = sensor, sensor if other_sensor is None else other_sensor
     a, b = (_run(*each, progress) for each in zip((first, other), sensors, strict=True))
     names = a.context["recording"], b.context["recording"]

@@ -168,6 +168,8 @@ def estimate(
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
+        for path in (out, csv):
+            refuse_input(path, *pipeline.model.sensor.files)
         texture, products = None, _PRODUCTS
         if shear:
             texture, products = watch_texture(chosen, pipeline), products | SHEAR
@@ -292,6 +294,7 @@ def track(
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
+        refuse_input(out, *pipeline.model.sensor.files)
         pipeline.track(obj, initial_pose)
         zeros, run = _new_run(chosen, name, pipeline, out, **solving)
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)

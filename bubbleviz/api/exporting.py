@@ -92,11 +92,11 @@ def export(
     kinds = [word.strip() for text in texts for word in text.split(",") if word.strip()]
     joined = None if poses is None else read_poses(poses)
     plan = ExportPlan.of(out, kinds, joined, overwrite=overwrite)
-    for read in (poses, path_of(frames)):
-        refuse_input(out, read)
+    refuse_input(out, poses, path_of(frames))
     options, chosen = patch_options(kappa), as_frames(frames)
     with OneBlasThread():
         _, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
+        refuse_input(out, *pipeline.model.sensor.files)
         if shear:
             watch_texture(chosen, pipeline)
         besides = SHEAR if shear else frozenset()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bubbleviz.api.estimating import path_of
 from bubbleviz.api.frames import open, parse_frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
@@ -24,7 +25,7 @@ from bubbleviz.calibration import (
     save,
 )
 from bubbleviz.errors import InputError
-from bubbleviz.files import parse_pose
+from bubbleviz.files import parse_pose, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource
 from bubbleviz.rigid_object import load_object
@@ -210,8 +211,11 @@ def identify(
     >>> found = bv.identify(bv.open("rest.mcap"), "punyo_oval_d405")
     >>> found.save("mine.toml", report="report")
     """
+    levels = tuple(levels)
     if out is not None:  # fail before the computation
-        output_files(out, None if report is None else Path(report), overwrite=overwrite)
+        files = output_files(out, None if report is None else Path(report), overwrite=overwrite)
+        for each in files:
+            refuse_input(each, *map(path_of, (frames, vented, *levels)))
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
     source = CachedFrames(open(frames) if isinstance(frames, str | Path) else frames)
     if isinstance(contact_free, str):

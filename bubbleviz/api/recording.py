@@ -17,14 +17,14 @@ from tqdm import tqdm
 
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
-from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, restore_on_error
+from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, refuse_input, restore_on_error
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.wording import count_of, counted
 
 if TYPE_CHECKING:
-    from bubbleviz.live import OfferedTopic, SessionOptions, ZenohPublisher
+    from bubbleviz.live import LiveSource, OfferedTopic, SessionOptions, ZenohPublisher
 
 _POLL_S = 0.05  # polling period of a source; chosen
 _CLOSING_DELAY_S = 0.5
@@ -99,7 +99,10 @@ def record(
     recorder = Recorder()
     recorder.listen_to(stream)
     first: float | None = None
-    with replacing(out, overwrite=overwrite) as replaces, stopped_by_signals() as stop:
+    with (
+        replacing(out, stream.source, overwrite=overwrite) as replaces,
+        stopped_by_signals() as stop,
+    ):
         recorder.start(out, replaces=replaces)
         try:
             with stream:
@@ -296,9 +299,13 @@ def zenoh_place(
 
 
 @contextmanager
-def replacing(out: str | Path, *, overwrite: bool) -> Iterator[bool]:
-    """Move an existing recording aside while its replacement is written; whether there is one."""
+def replacing(out: str | Path, source: LiveSource, *, overwrite: bool) -> Iterator[bool]:
+    """Move an existing recording aside while its replacement is written; whether there is one.
+
+    Raises InputError: it cannot be replaced, or the source reads it.
+    """
     if overwrite:
+        refuse_input(out, getattr(source, "path", None))
         refuse_existing(out, overwrite=True)
     replaces = overwrite and Path(out).exists()
     with restore_on_error(*([Path(out)] if overwrite else [])):

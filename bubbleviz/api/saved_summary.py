@@ -11,7 +11,14 @@ import numpy as np
 
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_existing, rows_of, to_json, whole_file, write_rows
+from bubbleviz.files import (
+    refuse_existing,
+    refuse_input,
+    rows_of,
+    to_json,
+    whole_file,
+    write_rows,
+)
 from bubbleviz.output import DPI
 
 if TYPE_CHECKING:
@@ -87,8 +94,11 @@ def axis_columns(**vectors: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
-def check_out(out: str | Path | None, *, overwrite: bool) -> None:
-    """Raise InputError if a `SavedSummary` cannot be written there."""
+def check_out(out: str | Path | None, *read: str | Path | None, overwrite: bool) -> None:
+    """Raise InputError if a `SavedSummary` cannot be written there, or would replace what is read.
+
+    Each of `read` may be None, for none.
+    """
     if out is None:
         return
     if Path(out).suffix not in ("", ".csv", ".json", *_PICTURES):
@@ -97,3 +107,4 @@ def check_out(out: str | Path | None, *, overwrite: bool) -> None:
             ".json, or give a folder without a dot in its name"
         )
     refuse_existing(Path(out), overwrite=overwrite)
+    refuse_input(out, *read)

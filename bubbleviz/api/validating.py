@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bubbleviz.api.estimating import SensorName, estimate
+from bubbleviz.api.estimating import SensorName, estimate, path_of
 from bubbleviz.api.frames import open
 from bubbleviz.api.saved_summary import SavedSummary, axis_columns, check_out
 from bubbleviz.calibration import Interval, WrenchComparison, compare_with_wrench
@@ -157,7 +157,7 @@ def validate(
     >>> found = bv.validate("press.mcap", "mine.toml", wrench="/ft_sensor/wrench").found
     >>> found.gain.value, found.gain.half_width
     """
-    check_out(out, overwrite=overwrite)
+    check_out(out, path_of(frames), overwrite=overwrite)
     if isinstance(frames, str | Path):
         with open(frames, wrench_topic=wrench) as opened:
             return validate(

@@ -302,7 +302,7 @@ def _recorder(
 ) -> Recorder | None:
     if out is None:
         return None
-    replaces = stack.enter_context(replacing(out, overwrite=overwrite))
+    replaces = stack.enter_context(replacing(out, stream.source, overwrite=overwrite))
     recorder = Recorder()
     recorder.start(out, replaces=replaces)
 

@@ -17,7 +17,18 @@ if TYPE_CHECKING:
     from bubbleviz.api.summary import Summary
 
 _F = TypeVar("_F", bound=Callable[..., Any])
-PATH = click.Path(path_type=Path)
+
+
+class _Path(click.Path):
+    """A path that is not empty: an empty one, as of an unset variable, is the present folder."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        if value == "":
+            self.fail("the path is empty; give one", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _Path(path_type=Path)
 hidden_alias = partial(click.option, hidden=True)
 """Hidden old name of an option; give parameter, type and default of the present one."""
 

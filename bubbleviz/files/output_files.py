@@ -119,16 +119,17 @@ def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
         raise InputError(f"{path}: folder {path.parent} is not writable; choose another folder")
 
 
-def refuse_input(output: str | Path | None, read: str | Path | None) -> None:
+def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
     """Raise InputError if an output would replace a file that is read, or a folder that has it.
 
-    Either may be None, for none.
+    Each may be None, for none.
     """
-    if output is None or read is None:
-        return
-    written, original = Path(output).resolve(), Path(read).resolve()
-    if written == original or written in original.parents:
-        raise InputError(f"{output}: would replace {read}, which is read; choose another name")
+    for each in read:
+        if output is None or each is None:
+            continue
+        written, original = Path(output).resolve(), Path(each).resolve()
+        if written == original or written in original.parents:
+            raise InputError(f"{output}: would replace {each}, which is read; choose another name")
 
 
 def free_name(path: Path) -> Path:

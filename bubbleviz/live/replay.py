@@ -40,6 +40,7 @@ class Replay(LiveSource):
         speed: float = 1.0,  # relative to the recording
         loop: bool = False,  # restart at the end; else the source ends there
     ) -> None:
+        self.path = Path(path)
         self._bag = Bag(path)
         super().__init__(self._bag.path.name)
         self._speed, self._loop = speed, loop

@@ -56,9 +56,10 @@ class Bench:
         self.recording = folder / "rec"
 
     def names(self):
-        files = {"OUT": "result.npz", "CSV": "result.csv", "PNG": "picture.png"}
+        files = {"OUT": "result.npz", "CSV": "result.csv", "PNG": "picture.png", "TOML": "new.toml"}
         return {
             "REC": str(self.recording),
+            "REPLAY": f"replay:{self.recording}",
             "SENSOR": str(self.sensor),
             **{key: str(self.folder / file) for key, file in files.items()},
         }
@@ -280,8 +281,24 @@ def test_depth_that_never_meets_the_membrane(bench):
         ("pose", "REC", "--sensor", "SENSOR", "--object", "sphere", "--out", "REC"),
         ("export", "REC", "--sensor", "SENSOR", "--what", "depth", "--out", "REC"),
         ("convert", "REC", "REC"),
+        ("validate", "REC", "--sensor", "SENSOR", "--out", "REC"),
+        ("compare", "REC", "REC", "--sensor", "SENSOR", "--out", "REC"),
+        ("identify", "REC", "--sensor", "SENSOR", "--out", "TOML", "--report", "REC"),
+        ("record", "--source", "REPLAY", "--out", "REC"),
+        ("watch", "--source", "REPLAY", "--sensor", "SENSOR", "--out", "REC"),
     ],
-    ids=["estimate", "csv", "pose", "export", "convert"],
+    ids=[
+        "estimate",
+        "csv",
+        "pose",
+        "export",
+        "convert",
+        "validate",
+        "compare",
+        "report",
+        "record",
+        "watch",
+    ],
 )
 def test_an_output_never_replaces_the_recording(bench, words):
     bag = BagMaker("mcap folder")
@@ -289,6 +306,22 @@ def test_an_output_never_replaces_the_recording(bench, words):
         bag.image(START + k * 10**8, pixels)
     bench.recording = bag.write(bench.folder)
     bench.refused((*words, "--overwrite"), "would replace", "choose another name")
+
+
+def test_an_output_never_replaces_the_pixels_of_the_sensor(bench):
+    """`identify --out mine.toml` writes mine.npz next to it, a name that a result may have, too."""
+    record(bench, GOOD)
+    every, images = np.ones(SIZE[::-1], bool), np.zeros((2, *SIZE[::-1]))
+    pixels = {"mask": every, "bias_m": images[0], "noise_m": images[1] + 1e-4}
+    np.savez(bench.folder / "result.npz", correlated_pixels=1.0, **pixels)
+    bench.sensor.write_text(toml() + '[calibration]\npixels_file = "result.npz"\n')
+    bench.refused((*COMMANDS["estimate"], "--overwrite"), "would replace")
+
+
+def test_an_empty_path(bench):
+    """As of a variable of the shell that is not set; `Path("")` is the present folder."""
+    record(bench, GOOD)
+    bench.refused((*COMMANDS["estimate"][:-1], ""), "--csv", "the path is empty")
 
 
 @pytest.mark.parametrize("file", ["result.npz", "result.csv"])
