@@ -153,12 +153,16 @@ class Recording:
         """
         return tuple(sorted(self._bad))
 
-    def gas_pressures_pa(self) -> np.ndarray:
-        """Every recorded gas pressure, shape (n,), absolute, Pa; empty where there is none."""
+    def gas_pressures_pa(self, at_most: int | None = None) -> np.ndarray:
+        """Recorded gas pressures, shape (n,), absolute, Pa; empty where there is none.
+
+        All, or `at_most` of them, spread evenly.
+        """
         if (series := self._series.get(PRESSURE)) is None:
             return np.empty(0)
+        step = 1 if at_most is None else -(-len(series) // at_most)
         with self._lock, as_input_error(self.path, "the gas pressure"):
-            pressures = np.array([series.item(k)[0] for k in range(len(series))])
+            pressures = np.array([series.item(k)[0] for k in range(0, len(series), step)])
         return pressures[np.isfinite(pressures)]
 
     def marks(self) -> tuple[tuple[int, str], ...]:
@@ -278,12 +282,14 @@ class Recording:
     def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:
         """Series of values measured along with the images, by type; topics may be given."""
         found: dict[str, Series[np.ndarray]] = {}
+        self.value_topics: dict[str, str] = {}  # their topics, by type
         for kind, name in names.items():
             topic = first_of_type(self.bag, kind, name, near=self.depth_topic.name)
             messages = None if topic is None else self.bag.messages(topic)
             if messages:  # an index may list none
                 values = partial(_values, messages, kind)
                 found[kind] = recorded_series(messages, values, by_log=self._by_log)
+                self.value_topics[kind] = messages.topic.name
         return found
 
 

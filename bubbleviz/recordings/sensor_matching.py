@@ -5,9 +5,11 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path, PurePosixPath
 
+import numpy as np
+
 from bubbleviz.errors import InputError, UnknownCameraError
 from bubbleviz.files import preset_names
-from bubbleviz.recordings.depth_topics import CAMERA_INFO, of_type
+from bubbleviz.recordings.depth_topics import CAMERA_INFO, PRESSURE, of_type
 from bubbleviz.recordings.frame import FrameSource, shown_name
 from bubbleviz.recordings.message_decoding import COMPRESSED
 from bubbleviz.recordings.recording import Recording, open_recording
@@ -15,6 +17,9 @@ from bubbleviz.sensor import Sensor, load_sensor
 
 WEATHER_PA = 5e3
 """Variation of the atmospheric pressure at one place, Pa: the extremes are ±5 kPa."""
+_GAS_SAMPLE = 64  # gas pressures, evenly spread, by which their unit is judged
+_OTHER_UNITS_PA = {"kPa": 1e3, "hPa": 100.0, "psi": 6_894.757, "bar": 1e5}
+"""Units of pressure that sensors have, other than the message's, Pa."""
 AUTO = "auto"  # sensor name that stands for the preset whose camera has the recording's image size
 
 
@@ -27,12 +32,13 @@ def image_size(source: FrameSource) -> tuple[int, int]:
 
 
 def check_fits(source: FrameSource, sensor: Sensor, sensor_name: str | Path) -> None:
-    """Refuse frames that are not of the sensor's camera.
+    """Refuse frames that are not of the sensor's camera, or with gas pressures in another unit.
 
-    Raises InputError: the images, or the recorded camera info, have another size.
+    Raises InputError: the images, or the recorded camera info, have another size; or that unit.
     """
     if isinstance(source, Recording):
         _check_camera_info(source)
+        _check_gas_unit(source, sensor)
     size, own = image_size(source), (sensor.camera.width, sensor.camera.height)
     if size != own:
         raise size_refusal(shown_name(source), size, sensor_name, own)
@@ -130,6 +136,26 @@ def _check_camera_info(recording: Recording) -> None:
                 f"images are {_by(recording.size)}; record both from one camera, neither cropped "
                 "nor scaled"
             )
+
+
+def _check_gas_unit(recording: Recording, sensor: Sensor) -> None:
+    """Refuse gas pressures that are the sensor file's in a unit other than Pa.
+
+    Gauge pressures in Pa are no other unit: their changes are right.
+    """
+    if not len(measured := recording.gas_pressures_pa(_GAS_SAMPLE)):
+        return
+    known, value = sensor.pneumatics, float(np.median(measured))
+    expected = known.reference_pressure_pa
+    misfits = {unit: abs(pa * value - expected) for unit, pa in _OTHER_UNITS_PA.items()}
+    unit = min(misfits, key=misfits.__getitem__)
+    if misfits[unit] < min(WEATHER_PA, abs(value - known.gauge_pressure_pa)):
+        topic = recording.value_topics[PRESSURE]
+        raise InputError(
+            f"{recording.path}: gas pressure of {value:.4g} on {topic} is in {unit}, "
+            f"not in Pa as FluidPressure messages are (near {expected:.0f} by the sensor file); "
+            f"publish it times {_OTHER_UNITS_PA[unit]:g}, and record again"
+        )
 
 
 def _by(size: tuple[int, int]) -> str:

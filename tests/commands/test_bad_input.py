@@ -204,6 +204,36 @@ def test_warning_if_the_gas_pressure_does_not_match_the_sensor(
         assert "109.9 kPa " in line and "in the recording, but 103.9 kPa" in line
 
 
+@pytest.mark.parametrize(
+    ("unit", "pa", "given"),
+    [("kPa", 1e3, "103.9"), ("hPa", 100.0, "1039"), ("psi", 6894.757, "15.07")],
+)
+@pytest.mark.parametrize("command", ["estimate", "check"])
+def test_gas_pressure_in_another_unit(tmp_path, sensor, command, unit, pa, given):
+    pressure = load_sensor(sensor).pneumatics.reference_pressure_pa / pa
+    frames = (replace(each, gas_pressure_pa=pressure) for each in small_source(sensor))
+    path = record_frames(tmp_path / "rec.mcap", frames)
+    out = () if command == "check" else ("--out", tmp_path / "out.npz")
+    told = refusal(command, path, "--sensor", sensor, *out)
+    for word in (str(path), f"gas pressure of {given} on /", f"is in {unit}", f"times {pa:g}"):
+        assert word in told
+
+
+def test_gauge_pressure_in_place_of_the_absolute_is_not_another_unit(tmp_path, sensor):
+    """1026 Pa of gauge pressure are near the 1024 hPa of absolute pressure."""
+    own = tmp_path / "own.toml"
+    own.write_text(
+        sensor.read_text().replace("gauge_pressure_pa = 2585.5", "gauge_pressure_pa = 1026.0")
+    )
+    assert load_sensor(own).pneumatics.gauge_pressure_pa == 1026.0
+    frames = (
+        replace(each, gas_pressure_pa=1026.0) for each in small_source(own, heights=15 * (0.06,))
+    )
+    path = record_frames(tmp_path / "rec.mcap", frames)
+    done = run("estimate", path, "--sensor", own, "--out", tmp_path / "out.npz")
+    assert done.exit_code == 0, done.output
+
+
 @pytest.mark.parametrize(("tension", "warned"), [(105.0, False), (210.0, True), (0.105, True)])
 def test_warning_if_tension_and_gauge_pressure_do_not_balance(tmp_path, sensor, tension, warned):
     """By Young–Laplace they do at 105 N/m."""
