@@ -26,6 +26,7 @@ class CheckSummary(SensorCheck, Summary):
 
     recording: str = ""
     sensor: str = ""
+    warning: str | None = None  # missing parts of the recording, or a choice made in it
 
     def facts(self) -> dict[str, Any]:
         """Verdict, and for each quantity its value, interval, limit and remedy."""
@@ -86,7 +87,8 @@ def check(
         except InputError as error:
             raise InputError(f"{shown_name(chosen.source)}: {error}") from error
     fields = {**vars(found), "rows": (*found.rows, *_temperature(chosen.source))}
-    return CheckSummary(**fields, recording=shown_name(chosen.source), sensor=name)
+    recording = shown_name(chosen.source)
+    return CheckSummary(**fields, recording=recording, sensor=name, warning=chosen.note or None)
 
 
 def _temperature(source: Any) -> list[CheckRow]:

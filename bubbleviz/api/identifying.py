@@ -48,6 +48,8 @@ class Identified(Summary):
         Numbers of the report, SI units, with `verdict`; empty before `save`.
     out, report : Path or None
         Files written by `save`.
+    warning : str or None
+        Missing parts of the recording, or a choice made in it.
     """
 
     found: Identification
@@ -56,6 +58,7 @@ class Identified(Summary):
     numbers: dict[str, Any] = field(default_factory=dict)
     out: Path | None = None
     report: Path | None = None
+    warning: str | None = None
 
     @property
     def tension_n_per_m(self) -> float:
@@ -217,7 +220,8 @@ def identify(
         for each in files:
             refuse_input(each, *map(path_of, (frames, vented, *levels)))
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
-    source = CachedFrames(open(frames) if isinstance(frames, str | Path) else frames)
+    frames = open(frames) if isinstance(frames, str | Path) else frames
+    source, warning = CachedFrames(frames), getattr(frames, "note", None) or None
     if isinstance(contact_free, str):
         contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
     settings = Settings(
@@ -234,7 +238,7 @@ def identify(
     )
     with OneBlasThread():
         found = Workbench(source, load_sensor(sensor)).work(settings, progress)
-    identified = Identified(found, source, name)
+    identified = Identified(found, source, name, warning=warning)
     if out is not None:
         identified.save(out, report, overwrite=overwrite, progress=progress)
     return identified

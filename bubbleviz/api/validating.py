@@ -31,6 +31,8 @@ class ValidationSummary(SavedSummary):
     recording, sensor : str
     found : WrenchComparison
         estimate(t) = gain · R (measured(t − delay) − bias), with 95 % intervals.
+    warning : str or None
+        Of the estimate.
     """
 
     stem = "validation"
@@ -38,6 +40,7 @@ class ValidationSummary(SavedSummary):
     recording: str
     sensor: str
     found: WrenchComparison
+    warning: str | None = None
 
     def facts(self) -> dict[str, Any]:
         """Numbers, SI units, each with half of its 95 % interval; None if not determined."""
@@ -50,6 +53,7 @@ class ValidationSummary(SavedSummary):
             "recording": self.recording,
             "sensor": self.sensor,
             "out": self.out,
+            "warning": self.warning,
             "frames": len(found.time_s),
             "presses": found.presses,
             **parameters,
@@ -181,7 +185,7 @@ def validate(
         found = compare_with_wrench(run.times_s, run.force_n, measured)
     except InputError as error:
         raise InputError(f"{name}: {error}") from error
-    summary = ValidationSummary(name, run.context["sensor"], found)
+    summary = ValidationSummary(name, run.context["sensor"], found, warning=run.warning)
     return summary.saved(out, overwrite=overwrite)
 
 

@@ -57,6 +57,11 @@ kappa_option = click.option(
 frames_option = click.option(
     "--frames", help="Frames A to B−1, counted from 0, as A:B or A:B:STEP; all by default."
 )
+depth_topic_option = click.option(
+    "--depth-topic",
+    metavar="TOPIC",
+    help="Topic of the depth images, where REC has several; by default the first.",
+)
 zero_gas_option = click.option(
     "--zero-gas/--no-zero-gas",
     default=True,
@@ -139,13 +144,20 @@ def run(verb: str, *arguments: Any, as_json: bool, **options: Any) -> Any:
     return result
 
 
-def run_on_frames(verb: str, recording: Path, frames: str | None = None, **options: Any) -> None:
+def run_on_frames(
+    verb: str,
+    recording: Path,
+    frames: str | None = None,
+    depth_topic: str | None = None,
+    wrench: str | None = None,
+    **options: Any,
+) -> None:
     """Call a function with frames of a recording, after a check for existing outputs."""
     from bubbleviz.files import refuse_existing
 
     for path in filter(None, (options.get("out"), options.get("csv"))):
         refuse_existing(path, overwrite=options["overwrite"])
-    with bv.open(recording, frames) as chosen:
+    with bv.open(recording, frames, depth_topic=depth_topic, wrench_topic=wrench) as chosen:
         run(verb, chosen, **options)
 
 

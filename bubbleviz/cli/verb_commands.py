@@ -5,6 +5,7 @@ Options are named like its parameters, mostly without the unit.
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import partial
 from math import radians
 from pathlib import Path
@@ -17,6 +18,7 @@ from bubbleviz.cli.shared_options import (
     PATH,
     Bar,
     colour_delay_option,
+    depth_topic_option,
     duration_option,
     frames_option,
     friction_option,
@@ -145,6 +147,7 @@ def simulate(
 
 @click.command()
 @_recording
+@depth_topic_option
 @sensor_option
 @kappa_option
 @solver_option
@@ -165,6 +168,7 @@ def estimate(**options: Any) -> None:
 
 @click.command()
 @_recording
+@depth_topic_option
 @sensor_option
 @option("--object", required=True, help="Mesh file or preset of the object.")
 @option(
@@ -191,6 +195,7 @@ def pose(**options: Any) -> None:
 
 @click.command()
 @_recording
+@depth_topic_option
 @sensor_option
 @out_option("TABLE.csv, TABLE.parquet, PLOTS.png (or .svg, .pdf), or a new folder for --what.")
 @option(
@@ -264,6 +269,7 @@ def convert(**options: Any) -> None:
 
 @click.command()
 @_recording
+@depth_topic_option
 @option("--sensor", required=True, help="Initial sensor file or preset.")
 @option(
     "--contact-free", metavar="A:B", help="Frames A to B−1 without contact; searched by default."
@@ -306,18 +312,23 @@ def convert(**options: Any) -> None:
 @option("--pose", help='Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).')
 @option("--pressed", metavar="A:B", help="Frames A to B−1 in which that object is held still.")
 @json_option
-def identify(**options: Any) -> None:
+def identify(levels: Any, vented: Any, **options: Any) -> None:
     """Make a sensor file from contact-free frames.
 
     Determines the shape at rest, the tension γ0 and the error of each pixel. Inflation levels with
     gas pressures also give the pre-stretch λ and the gauge pressure; so does, less precisely, a
     press held still in REC.
     """
-    run_on_frames("identify", **options)
+    with ExitStack() as files:
+        if topic := options["depth_topic"]:  # else they are opened one at a time
+            levels = [files.enter_context(bv.open(each, depth_topic=topic)) for each in levels]
+            vented = vented and files.enter_context(bv.open(vented, depth_topic=topic))
+        run_on_frames("identify", levels=levels, vented=vented, **options)
 
 
 @click.command()
 @_recording
+@depth_topic_option
 @sensor_option
 @option(
     "--contact-free", metavar="A:B", help="Frames A to B−1 without contact; searched by default."
@@ -334,6 +345,7 @@ def check(**options: Any) -> None:
 
 @click.command()
 @_recording
+@depth_topic_option
 @sensor_option
 @option(
     "--wrench",
@@ -347,12 +359,12 @@ def check(**options: Any) -> None:
     "PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.", required=False
 )
 @json_option
-def validate(recording: Path, **options: Any) -> None:
+def validate(**options: Any) -> None:
     """Compare the estimated force with a wrench sensor.
 
     Reports bias, gain, rotation, delay and hysteresis with 95 % intervals; corrects nothing.
     """
-    run("validate", recording, **options)
+    run_on_frames("validate", **options)
 
 
 @click.command()

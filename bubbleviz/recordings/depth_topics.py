@@ -47,20 +47,34 @@ def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
     return 1e-3  # default of every model but the D405
 
 
-def find_depth(bag: Bag, name: str | None = None) -> Topic:
-    """Topic of the depth images: `name`, or the first image topic with a depth encoding.
+def find_depth(bag: Bag, name: str | None = None) -> tuple[Topic, str]:
+    """Topic of the depth images, and a text about others like it, which may be empty.
 
-    A topic with `depth` in its name is preferred: infrared images are 16UC1 too. Next come
-    compressed depth images, then point clouds.
+    The topic is `name`, or the first image topic with a depth encoding. One with `depth` in its
+    name is preferred: infrared images are 16UC1 too. Next come compressed depth images, then point
+    clouds.
     """
     candidates = of_type(bag, IMAGE, name)
     candidates.sort(key=lambda topic: "depth" not in topic.name.lower())
     encodings = {topic.name: _first(bag, topic).encoding for topic in candidates}
-    for topic in candidates:
-        encoding = encodings[topic.name]
-        realsense = encoding == REALSENSE_ENCODING and _REALSENSE_DEPTH.fullmatch(topic.name)
-        if encoding in DEPTH_ENCODINGS or realsense:
-            return topic
+    found = [topic for topic in candidates if _is_depth(topic.name, encodings[topic.name])]
+    if found:
+        others = [topic.name for topic in found[1:] if "depth" in topic.name.lower()]
+        note = f"{found[0].name} is used of the depth topics, and not {', '.join(others)}"
+        remedy = "choose one by --depth-topic (Python: depth_topic of bv.open)"
+        return found[0], f"{note}; {remedy}" if others else ""
+    return _find_other_depth(bag, name, candidates, encodings), ""
+
+
+def _is_depth(name: str, encoding: str) -> bool:
+    realsense = encoding == REALSENSE_ENCODING and _REALSENSE_DEPTH.fullmatch(name) is not None
+    return encoding in DEPTH_ENCODINGS or realsense
+
+
+def _find_other_depth(
+    bag: Bag, name: str | None, candidates: list[Topic], encodings: Mapping[str, str]
+) -> Topic:
+    """Topic of compressed depth images or point clouds; without one the reason is raised."""
     for topic in of_type(bag, COMPRESSED_IMAGE, name):
         if COMPRESSED in _first(bag, topic).format:
             return topic

@@ -89,7 +89,8 @@ class Recording:
         self.name = self.path.name or str(self.path)  # file name
         self.note = self.bag.note  # missing parts and other warnings, as text; empty for none
         try:
-            self.depth_topic = find_depth(self.bag, depth_topic)
+            self.depth_topic, several = find_depth(self.bag, depth_topic)
+            self.bag.note = "; ".join(filter(None, (self.bag.note, several)))
             self._unit_m = metres_per_unit(self.bag, self.depth_topic)
             self._open_images(info_topic)
             _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)

@@ -234,6 +234,27 @@ def test_gauge_pressure_in_place_of_the_absolute_is_not_another_unit(tmp_path, s
     assert done.exit_code == 0, done.output
 
 
+LEFT, RIGHT = "/left/depth/image", "/right/depth/image"
+
+
+@pytest.mark.parametrize("command", ["estimate", "check", "identify", "export"])
+def test_several_depth_topics(bench, sensor, command):
+    """The first is used, as a warning says, or the chosen one: here the right one is empty."""
+    bag = BagMaker("mcap file")
+    for k, frame in enumerate(small_source(sensor, heights=20 * (0.06,))):
+        bag.image(START + k * 10**8, frame.depth_m, topic=LEFT)
+        bag.image(START + k * 10**8, np.zeros_like(frame.depth_m), topic=RIGHT)
+    bench.recording, bench.sensor = bag.write(bench.folder), sensor
+    out = {"estimate": "OUT", "export": "CSV", "identify": "TOML"}.get(command)
+    words = (command, "REC", "--sensor", "SENSOR", *(("--out", out, "--overwrite") if out else ()))
+    by_default, chosen = bench.run(*words), bench.run(*words, "--depth-topic", LEFT)
+    assert (by_default.exit_code, chosen.exit_code) == (0, 0), by_default.output + chosen.output
+    assert f"{LEFT} is used of the depth topics, and not {RIGHT}" in by_default.stderr
+    assert "depth topics" not in chosen.stderr
+    if command != "export":  # which writes a table without numbers
+        assert bench.run(*words, "--depth-topic", RIGHT).exit_code == 2
+
+
 @pytest.mark.parametrize(("tension", "warned"), [(105.0, False), (210.0, True), (0.105, True)])
 def test_warning_if_tension_and_gauge_pressure_do_not_balance(tmp_path, sensor, tension, warned):
     """By Young–Laplace they do at 105 N/m."""
