@@ -62,6 +62,8 @@ def _first_problem(error: ValidationError, kind: str) -> str:
         return f"{key}: unknown key; correct its spelling or remove it"
     if problem["type"] == "missing":
         return f"{key}: missing; add it"
+    if problem["type"] == "model_type":
+        return f"{key}: needs to be one table; begin it with [{key}]"
     message = problem["msg"].removeprefix("Value error, ").replace("Input should", "it should")
     if isinstance(problem["input"], dict):  # an entire section
         return f"{key}: {message}"

@@ -144,11 +144,12 @@ def test_camera_info_of_another_size_than_the_images(bench, solving):
         ("quaternion_xyzw = [\n    0.0", "quaternion_xyzw = [\n    nan", ("quaternion", "finite")),
         ("-0.104", "-104.0", ("position_m", "millimetres")),
         ("name = ", "name ", ("the TOML file cannot be read",)),
+        ("[camera]", "[[camera]]", ("camera: needs to be one table; begin it with [camera]\n",)),
         ("2585.5", "2.5855", ("gauge_pressure_pa", "2.5855", "pascals")),
     ],
     ids=[
         "misspelt", "negative", "75 m rim", "NaN position", "NaN turn", "mm position", "no TOML",
-        "gauge in kPa",
+        "list of cameras", "gauge in kPa",
     ],
 )  # fmt: skip
 def test_bad_sensor_file(bench, solving, old, new, words):
@@ -395,6 +396,12 @@ def test_the_same_name_for_both_outputs(bench):
 def test_bad_options(bench, option, value, words):
     record(bench, GOOD)
     bench.refused((*COMMANDS["estimate"], option, value), words)
+
+
+def test_picture_of_another_kind(bench):
+    record(bench, GOOD)
+    words = ("open", "REC", "--sensor", "SENSOR", "--screenshot", bench.folder / "a.jpg")
+    bench.refused(words, "a.jpg", "ends in .png")
 
 
 def test_unknown_scene(bench):
