@@ -17,7 +17,7 @@ from bubbleviz.camera import ImageErrors
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame, FrameSource, force_of
+from bubbleviz.recordings import Frame, FrameSource, Recording, force_of
 from bubbleviz.result import HALF_95, Result
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 
@@ -142,6 +142,7 @@ class PressureZero:
         self.reference_pa = reference_pa
         self.offset_pa: float | None = None  # of the measured pressure; None: unknown
         self.frames = 0  # contact-free frames used for the offset
+        self.frozen = False  # whether the sensor repeats one value, which then is not used
         self._free: list[float] = []
         self._collecting = True
         self._to_skip = 0
@@ -204,6 +205,8 @@ class PressureZero:
     @property
     def words(self) -> str:
         """Description in one line."""
+        if self.frozen:
+            return "gas pressure zero: none, as the recorded pressure never changes; it is not used"
         if self.offset_pa is None:
             weather = 1e-3 * HALF_95 * WEATHER_SIGMA_PA
             return (
@@ -219,8 +222,8 @@ class PressureZero:
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, or with its standard deviation."""
-        if frame.gas_pressure_pa is None:
-            return frame
+        if self.frozen or frame.gas_pressure_pa is None:
+            return replace(frame, gas_pressure_pa=None)
         if self.offset_pa is None:
             return replace(frame, gas_sigma_pa=WEATHER_SIGMA_PA)
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
@@ -260,7 +263,8 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
         return Zeros(None, image)
     gas = PressureZero(pipeline.model.gas.P0)
     measured = [pressure for pressure in pressures if pressure is not None]
-    if len(measured) >= MIN_FRAMES:
+    gas.frozen = len(measured) >= MIN_FRAMES and _is_frozen(source)
+    if len(measured) >= MIN_FRAMES and not gas.frozen:
         gas.take(measured)
     gas.restore(gas.rest_pa, waiting=False)
     return Zeros(gas, image)
@@ -316,6 +320,17 @@ def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray 
         yield None
     known = [force for force in rest if np.isfinite(force).all()]
     yield np.median(known, axis=0) if known else np.full(3, np.nan)
+
+
+def _is_frozen(source: FrameSource) -> bool:
+    """Whether the gas pressures of a recording are equal to the last bit.
+
+    Those of a working sensor vary by noise and by contact; those of a simulation by contact.
+    """
+    if not isinstance(source, Recording):
+        return False
+    pressures = source.gas_pressures_pa(1000)
+    return len(pressures) > ZERO_FRAMES and len(set(pressures)) == 1
 
 
 def _gas_pressure_pa(source: FrameSource, index: int) -> float | None:

@@ -334,7 +334,13 @@ class FrameSolver:
     def _sensor_warning(self, where: str) -> str:
         """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
         known_pa, zero = self.pipeline.model.gas.P0, self.zeros.gas
-        if zero is None or zero.rest_pa is None:
+        if zero is not None and zero.frozen:
+            said = (
+                f"the gas pressure in the {where} never changes, not even by contact, so it is not "
+                "used and forces are less certain; check the pressure sensor"
+            )
+            gas = said if self._touched else ""
+        elif zero is None or zero.rest_pa is None:
             gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
         else:
             gas = gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")

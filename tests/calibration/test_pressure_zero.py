@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_press import small_source
+from small_press import record, small_source
 
 import bubbleviz as bv
 from bubbleviz.recordings import Frame
@@ -92,3 +92,19 @@ def test_a_recording_whose_pressure_starts_late_or_ends_early_is_zeroed(sensor, 
         "3 contact-free frames" if missing == 0 else "4 contact-free frames"
     )
     assert run[-1].force_n == pytest.approx(bv.estimate(whole, sensor)[-1].force_n, rel=0.03)
+
+
+@pytest.mark.parametrize("pressed", [True, False])
+def test_a_pressure_sensor_that_repeats_one_value_is_not_used(tmp_path, sensor, pressed):
+    """Its p_v of zero in a press would make the force too large; the gas law gives p_v instead."""
+    source = small_source(sensor, heights=(*16 * (0.06,), *3 * (0.042 if pressed else 0.06,)))
+    frozen, unrecorded = (
+        bv.estimate(
+            record(tmp_path / f"{name}.mcap", (replace(f, gas_pressure_pa=gas) for f in source)),
+            sensor,
+        )
+        for name, gas in (("frozen", REFERENCE), ("unrecorded", None))
+    )
+    assert ("never changes, not even by contact" in (frozen.warning or "")) == pressed
+    np.testing.assert_array_equal(frozen.force_n, unrecorded.force_n)
+    assert (np.linalg.norm(frozen.force_n[-1]) > 1.0) == pressed
