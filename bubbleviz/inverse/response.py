@@ -55,10 +55,9 @@ class Tangent(ABC):
     area_vectors: np.ndarray
     with_gas: bool
 
-    @property
-    def by_material(self) -> np.ndarray:
-        """Motion for one standard deviation of each material parameter, (3n, m), m."""
-        return np.zeros((self.x.size, 0))
+    def by_material(self, x: np.ndarray) -> np.ndarray:
+        """Motion of a shape for one standard deviation of each material parameter, (3n, m), m."""
+        return np.zeros((x.size, 0))
 
     @cached_property
     def bulge(self) -> np.ndarray:
@@ -131,14 +130,14 @@ class LinearisedRubber(Tangent):
         self._normal = _Columns(self._nodes, 1)
         self._tangential = _Columns(self._nodes, 2)
 
-    @cached_property
-    def by_material(self) -> np.ndarray:
-        """Motion S f for the residual forces f of each variant at this shape, (3n, variants), m."""
-        usual = self._membrane.residual(self.x, 0.0)
+    def by_material(self, x: np.ndarray) -> np.ndarray:
+        """Motion S f for the residual forces f of each variant at `x`, (3n, variants), m.
+
+        Of a light touch S is that at rest, where they balance whatever the material.
+        """
+        usual = self._membrane.residual(x, 0.0)
         gauge = self._membrane.gauge_pressure_pa
-        residuals = [
-            v.residual(self.x, v.gauge_pressure_pa - gauge) - usual for v in self._variants
-        ]
+        residuals = [v.residual(x, v.gauge_pressure_pa - gauge) - usual for v in self._variants]
         if not residuals:
             return np.zeros((3 * self._nodes, 0))
         return self.motion(np.stack(residuals, axis=-1)).reshape(3 * self._nodes, -1)

@@ -44,7 +44,7 @@ def wrench_covariance(
     unit = unit_wrenches(bubble, step, contact, nodes)
     by_material = [
         change_by(step, step.measurements.jacobian @ motion) @ unit
-        for motion in step.tangent.by_material.T
+        for motion in step.tangent.by_material(step.state.x).T
     ]
     unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
     push = step.contact.pressure[:, None] * bubble.area_vectors(step.state.x)

@@ -292,6 +292,23 @@ def test_small_press_on_a_flat_membrane_is_the_linear_model():
 
 
 @pytest.mark.parametrize("measured", [False, True])
+def test_sigma_of_a_light_touch_includes_the_uncertainty_of_the_material(measured):
+    """It is solved in one step from rest, where the material makes no difference."""
+    mesh, contact = pressed("sphere", 0.0008)
+    usual, stiffer = (estimator(800, tension=factor * TENSION) for factor in (1.0, 1.05))
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    gas = usual.bubble.gas.P0 + contact.gas_pressure_change_pa if measured else None
+    rubber = usual.bubble
+    varied = RubberBubble(rubber.membrane, rubber.gas, [stiffer.bubble.membrane])
+    known, a, b = (
+        each.estimate(image, gas)[0] for each in (usual, Estimator(usual.observer, varied), stiffer)
+    )
+    assert known.status == "ok" and b.force_n[2] != a.force_n[2]
+    by_material = np.sqrt(a.force_sigma_n[2] ** 2 - known.force_sigma_n[2] ** 2)
+    assert by_material == pytest.approx(abs(b.force_n[2] - a.force_n[2]), rel=0.3)
+
+
+@pytest.mark.parametrize("measured", [False, True])
 def test_sigma_includes_the_uncertainty_of_the_material(measured):
     """Against a second solve with the other tension, and the scatter of noisy frames.
 
