@@ -84,11 +84,6 @@ class Frames(Sequence[Frame]):
         return self.source[chosen]
 
     @property
-    def note(self) -> str:
-        """What is missing of the recording, or was chosen in it; may be empty."""
-        return self.source.bag.note if isinstance(self.source, Recording) else ""
-
-    @property
     def times_s(self) -> np.ndarray:
         """Time of each frame from the start of the source, s, (F,)."""
         return self.source.times_s[self.chosen]

@@ -90,7 +90,7 @@ class Recording:
         self.note = self.bag.note  # missing parts and other warnings, as text; empty for none
         try:
             self.depth_topic, several = find_depth(self.bag, depth_topic)
-            self.bag.note = "; ".join(filter(None, (self.bag.note, several)))
+            self.note = "; ".join(filter(None, (self.note, several)))
             self._unit_m = metres_per_unit(self.bag, self.depth_topic)
             self._open_images(info_topic)
             _, intrinsics = find_intrinsics(self.bag, self.depth_topic, self.size, info_topic)
