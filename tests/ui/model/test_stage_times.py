@@ -51,6 +51,7 @@ def test_only_stages_of_visible_layers_and_panels_run(changes, wanted):
 
 def test_click_on_the_status_bar_opens_the_performance_table(drive):
     driver = drive(frame=3)
+    driver.resize(1500, 800)  # with room for the rates
     for frame in (4, 5, 6):
         driver.seek(frame)
     driver.click(driver.window.status.labels["solve"])
