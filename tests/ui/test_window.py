@@ -309,6 +309,13 @@ def test_window_force_and_panels_fit_a_small_screen(drive):
     driver.wait(lambda: seen(window.plots.statistics) > 30)
     assert driver.size == (675, 427) and seen(window.view) > 100
     assert window.panels["layers"] in window.tabifiedDockWidgets(window.panels["compare"])
+    entry = window.panels["compare"].toggleViewAction()
+    entry.trigger()  # in front of the tabs it is behind
+    driver.wait(lambda: seen(window.compare) > 50)
+    assert entry.isChecked()
+    entry.trigger()
+    driver.wait(lambda: window.panels["compare"].isHidden())
+    assert not entry.isChecked()
     driver.show("compare")
     window.panels["compare"].hide()
     driver.show("compare")  # in front of the tabs it was behind

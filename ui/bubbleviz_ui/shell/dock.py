@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TypeVar
 
 from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, Signal
-from PySide6.QtGui import QPainter, QPaintEvent
+from PySide6.QtGui import QCloseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QBoxLayout,
     QDockWidget,
@@ -79,6 +79,15 @@ class Dock(QDockWidget):
             others = [d for d in column(window, window.dockWidgetArea(self)) if d not in own]
             heights = [window.height(), *(1 for _ in others)]
             window.resizeDocks([self, *others], heights, Qt.Orientation.Vertical)
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Come to the front if it is behind a tab: whoever chose its menu entry looks for it."""
+        if self.isFloating() or self._in_front:
+            super().closeEvent(event)
+            return
+        event.ignore()
+        self.raise_()
+        self.toggleViewAction().setChecked(True)
 
     @property
     def needed(self) -> int:
