@@ -170,11 +170,11 @@ def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
         raise InputError(status.problem)
     problem, lost = stream.source.problem, stream.source.link == "lost"
     if problem and not (lost and status.messages):  # messages before the loss are in the file
-        raise InputError(f"--source {source}: {problem}")
+        raise InputError(f"{source}: {problem}")
     if not status.messages:
         offered = stream.offered
         raise InputError(
-            f"--source {source}: no message arrived ({offered}), so nothing was written; check "
+            f"{source}: no message arrived ({offered}), so nothing was written; check "
             "address or file, and that the sensor publishes"
         )
 
@@ -236,7 +236,7 @@ def publish(
     topics = live.topics
     if wait and not topics:
         raise InputError(
-            f"--source {source}: this source cannot list its topics before the first message; "
+            f"{source}: this source cannot list its topics before the first message; "
             "leave out --wait"
         )
     with (

@@ -295,7 +295,7 @@ class LiveStream:
                 "or choose a topic by ?depth="
             )
         reason = reason or f"{self.offered}; check that the camera publishes, and address or file"
-        return InputError(f"--source {self.uri}: no depth image arrived: {reason}")
+        return InputError(f"{self.uri}: no depth image arrived: {reason}")
 
     @property
     def offered(self) -> str:
@@ -337,7 +337,7 @@ class LiveStream:
         if wrong < enough or size is None or own is None:
             return None
         sensor_name = self.sensor.file or self.sensor.name
-        return size_refusal(f"--source {self.uri}", size, sensor_name, own)
+        return size_refusal(self.uri, size, sensor_name, own)
 
     def _patience_s(self) -> float:
         """Time until the pending frame must be checked again, s."""

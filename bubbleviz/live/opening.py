@@ -159,7 +159,7 @@ def sensor_for_source(
     with open_stream(text, load_sensor(SYNTHETIC_SENSOR), any_size=True) as stream:
         first = stream.first_frame(patience_s, lambda: waiting(stream), camera_s=0.0)
     height, width = first.depth_m.shape
-    return preset_of_size((width, height), f"--source {text}")
+    return preset_of_size((width, height), text)
 
 
 # Session presets: which sensors are shown at once, and where they are in the world.
