@@ -256,19 +256,19 @@ class GaussNewton:
         rounds: int,
         fit_image: bool,
         friction_scales: tuple[float, float] = WIDEST,
-        known_contact: np.ndarray | None = None,
+        near_contact: np.ndarray | None = None,
     ) -> Step | None:
         """A step from a state, or None if its problem was not solved.
 
-        Its support is selected in so many rounds, without the parts that contain no node of a
-        known contact (n,) bool, if any; errors of the whole image are fitted or zero.
+        Its support is selected in so many rounds, without the parts that contain none of the
+        nodes (n,) bool near a known contact; errors of the whole image are fitted or zero.
         """
         tangent = self._tangent_at(state, gas, last)
         measurements, friction = self._measurements(
             tangent, state, observed, gas, noise, friction_scales, fit_image=fit_image
         )
         began = time.perf_counter()
-        contact = self._contact(tangent, measurements, state, gas, rounds, known_contact)
+        contact = self._contact(tangent, measurements, state, gas, rounds, near_contact)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
@@ -351,7 +351,7 @@ class GaussNewton:
         state: State,
         gas: float | None,
         rounds: int,
-        known_contact: np.ndarray | None,
+        near_contact: np.ndarray | None,
     ) -> ContactPressure:
         problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
@@ -364,9 +364,9 @@ class GaussNewton:
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             kept = parts_with(self.mesh.rings, pressure >= least, support)
-            if known_contact is None:
+            if near_contact is None:
                 return kept
-            return parts_with(self.mesh.rings, known_contact, kept)
+            return parts_with(self.mesh.rings, near_contact, kept)
 
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Measured, Misfit, ShapeRanges
-from bubbleviz.inverse.contact_problem import significant_contact
+from bubbleviz.inverse.contact_problem import ContactPressure, significant_contact
 from bubbleviz.inverse.friction import (
     WIDEST,
     FrictionScale,
@@ -29,6 +29,7 @@ from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.plausibility import IMPLAUSIBLE_MISFIT, IMPLAUSIBLE_SHARE
 from bubbleviz.inverse.response import Tangent
 from bubbleviz.inverse.wrench_covariance import change_by, unit_wrenches, wrench_covariance
+from bubbleviz.membrane import grown
 from bubbleviz.result import FlowFit, Status
 
 _CONVERGED_MOTION = 0.05
@@ -174,7 +175,7 @@ class Iteration:
         self._tangent = start.tangent
         self._noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
         self._friction_scales = start.friction_scales if self._warm else WIDEST
-        self._known_contact: np.ndarray | None = None
+        self._near_contact: np.ndarray | None = None
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         self._near = self._warm  # the errors of the linearisation are small
         self._following = self._observe(by_flow=True) if self._warm else None
@@ -219,7 +220,7 @@ class Iteration:
                 rounds,
                 fit_image,
                 self._friction_scales,
-                self._known_contact,
+                self._near_contact,
             )
             if step is None:
                 break
@@ -319,10 +320,9 @@ class Iteration:
             known = noise_converged(updated, self._noise, self._noises, int(self._warm))
             known = known and slides.converged and spins.converged
             if done and (known or len(self._noises) >= MAX_NOISES):
-                significant = significant_contact(self._newton.mesh, step.contact)
-                if np.array_equal(significant, step.contact.pressure > 0.0):
+                if self._all_significant(step.contact):
                     return True
-                self._known_contact, self._noises = significant, []
+                self._noises = []
             self._friction_scales = slides.value, spins.value
             if done or first_guess:
                 self._noises.append(self._noise if done else Noise(np.inf, np.inf))
@@ -331,6 +331,16 @@ class Iteration:
         self._selecting = converged or self._large or first_guess
         if converged:
             self._selections, self._settling = self._selections + 1, 0
+        return False
+
+    def _all_significant(self, contact: ContactPressure) -> bool:
+        """Whether all parts of a contact are significant; others are left out from now on."""
+        mesh = self._newton.mesh
+        significant = significant_contact(mesh, contact)
+        if np.array_equal(significant, contact.pressure > 0.0):
+            return True
+        near = grown(mesh.rings, significant)  # the contact may move by a node without the others
+        self._near_contact = near if self._near_contact is None else near & self._near_contact
         return False
 
     def _friction(self, step: Step) -> tuple[FrictionScale, FrictionScale]:

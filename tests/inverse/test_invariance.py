@@ -125,6 +125,17 @@ def test_warm_starts_of_the_real_press(changes):
     assert np.mean((forces < 0.01) & (areas < 0.03)) >= 0.95
 
 
+def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(punyo_press):
+    """From the first frame of the contact, a part of the contact far from it stayed before."""
+    with Recording(punyo_press) as recording:
+        first, frame = recording[62], recording[78]
+    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frame.intrinsics)
+    alone = force_of(pipeline.process(frame, PATCH))
+    pipeline.restart()
+    pipeline.process(first, PATCH)
+    assert force_of(pipeline.process(frame, PATCH)) == pytest.approx(alone, rel=0.01)
+
+
 def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
     """Contacts of two to nine nodes, whose images fit no shape to the noise.
 
