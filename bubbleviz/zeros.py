@@ -222,7 +222,9 @@ class PressureZero:
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, or with its standard deviation."""
-        if self.frozen or frame.gas_pressure_pa is None:
+        if frame.gas_pressure_pa is None:
+            return frame
+        if self.frozen:
             return replace(frame, gas_pressure_pa=None)
         if self.offset_pa is None:
             return replace(frame, gas_sigma_pa=WEATHER_SIGMA_PA)
@@ -263,9 +265,10 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
         return Zeros(None, image)
     gas = PressureZero(pipeline.model.gas.P0)
     measured = [pressure for pressure in pressures if pressure is not None]
-    gas.frozen = len(measured) >= MIN_FRAMES and _is_frozen(source)
-    if len(measured) >= MIN_FRAMES and not gas.frozen:
-        gas.take(measured)
+    if len(measured) >= MIN_FRAMES:
+        gas.frozen = len(set(measured)) == 1 and _is_frozen(source)
+        if not gas.frozen:
+            gas.take(measured)
     gas.restore(gas.rest_pa, waiting=False)
     return Zeros(gas, image)
 
@@ -323,13 +326,13 @@ def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray 
 
 
 def _is_frozen(source: FrameSource) -> bool:
-    """Whether the gas pressures of a recording are equal to the last bit.
+    """Whether a recording repeats one gas pressure to the last bit.
 
-    Those of a working sensor vary by noise and by contact; those of a simulation by contact.
+    A working sensor varies by noise and by contact, a simulation by contact.
     """
     if not isinstance(source, Recording):
         return False
-    pressures = source.gas_pressures_pa(1000)
+    pressures = source.gas_pressures_pa(1000)  # of all parts of a long recording
     return len(pressures) > ZERO_FRAMES and len(set(pressures)) == 1
 
 
