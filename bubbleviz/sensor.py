@@ -56,9 +56,10 @@ WEATHER_SIGMA_PA = 2e3 / 1.96
 """σ of the atmospheric pressure at one place, Pa: 95 % of the weather is within ±2 kPa."""
 
 STANDARD_ATMOSPHERE_PA, ALTITUDE_SIGMA_PA = 101_325.0, 5e3
-"""Atmospheric pressure at sea level, and the rms of what altitude takes from it, where people live:
-an exponential distribution with half of them above 194 m (Cohen and Small 1998) has 4.8 kPa, one
-with a quarter above 500 m, as they counted too, 6 kPa."""
+"""Atmospheric pressure at sea level, and the rms of its reduction by altitude where people live.
+
+With an exponential distribution of altitudes it is 4.8 kPa if half of the population lives above
+194 m, 6 kPa if a quarter lives above 500 m (Cohen and Small 1998 counted both)."""
 
 
 ATMOSPHERES = 30e3, 120e3
@@ -119,7 +120,7 @@ class Pneumatics(Section):
 
     @property
     def atmosphere_is_local(self) -> bool:
-        """Whether the atmospheric pressure is that of a place, not the standard one."""
+        """Whether the atmospheric pressure was given for a place, and is not the standard one."""
         return self.atmospheric_pressure_pa != STANDARD_ATMOSPHERE_PA
 
 

@@ -20,7 +20,7 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 
 class _Path(click.Path):
-    """A path that is not empty: an empty one, as of an unset variable, is the present folder."""
+    """A path that is not empty: `Path("")`, as of an unset variable, is the current folder."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value == "":

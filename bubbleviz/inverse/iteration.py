@@ -153,9 +153,9 @@ class Iteration:
        noise of the sensor. Without a warm start the first step to an equilibrium gives a first
        guess of the factor, unless it contradicts a measured gas pressure; until then, only the
        nodes with the steepest gradient are selected.
-    5. Parts of the contact that are not significant are no contact: leave them out, and repeat
-       from 1. Otherwise a few nodes explain noise, which ones depends on the frames before, and
-       the force changes with them by up to 3 %.
+    5. Leave out parts of the contact that are not significant, and repeat from 1 without them.
+       They explain noise by a few nodes that depend on the frames before, and change the force
+       by up to 3 %.
 
     Parameters
     ----------
@@ -339,7 +339,7 @@ class Iteration:
         significant = significant_contact(mesh, contact)
         if np.array_equal(significant, contact.pressure > 0.0):
             return True
-        near = grown(mesh.rings, significant)  # the contact may move by a node without the others
+        near = grown(mesh.rings, significant)  # without the others it may move by one node
         self._near_contact = near if self._near_contact is None else near & self._near_contact
         return False
 

@@ -133,7 +133,7 @@ class LinearisedRubber(Tangent):
     def by_material(self, x: np.ndarray) -> np.ndarray:
         """Motion S f for the residual forces f of each variant at `x`, (3n, variants), m.
 
-        Of a light touch S is that at rest, where they balance whatever the material.
+        The tangent of a light touch is that of the membrane at rest, where these forces are 0.
         """
         usual = self._membrane.residual(x, 0.0)
         gauge = self._membrane.gauge_pressure_pa

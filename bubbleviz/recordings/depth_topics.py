@@ -60,7 +60,7 @@ def find_depth(bag: Bag, name: str | None = None) -> tuple[Topic, str]:
     found = [topic for topic in candidates if _is_depth(topic.name, encodings[topic.name])]
     if found:
         others = [topic.name for topic in found[1:] if "depth" in topic.name.lower()]
-        note = f"{found[0].name} is used of the depth topics, and not {', '.join(others)}"
+        note = f"of several depth topics {found[0].name} is used, not {', '.join(others)}"
         remedy = "choose one by --depth-topic (Python: depth_topic of bv.open)"
         return found[0], f"{note}; {remedy}" if others else ""
     return _find_other_depth(bag, name, candidates, encodings), ""

@@ -250,7 +250,7 @@ def test_several_depth_topics(bench, sensor, command):
     words = (command, "REC", "--sensor", "SENSOR", *(("--out", out, "--overwrite") if out else ()))
     by_default, chosen = bench.run(*words), bench.run(*words, "--depth-topic", LEFT)
     assert (by_default.exit_code, chosen.exit_code) == (0, 0), by_default.output + chosen.output
-    assert f"{LEFT} is used of the depth topics, and not {RIGHT}" in by_default.stderr
+    assert f"of several depth topics {LEFT} is used, not {RIGHT}" in by_default.stderr
     assert "depth topics" not in chosen.stderr
     if command != "export":  # which writes a table without numbers
         assert bench.run(*words, "--depth-topic", RIGHT).exit_code == 2
