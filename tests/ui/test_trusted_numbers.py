@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 from window_driver import CONTACT, view_texts
 
 from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
 
-PRESSED = FIRST_CONTACT + 2
+PRESSED, ALT = FIRST_CONTACT + 2, Qt.KeyboardModifier.AltModifier
 BIAS = np.array([-0.4, -0.6, -0.5])
 
 
@@ -160,6 +161,16 @@ def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
     driver.seek(PRESSED)
     driver.wait(lambda: heading(driver).startswith("Force: – "))
     assert "not trusted" in heading(driver)
+    # by keys to the first of those frames, from both sides
+    driver.seek(FRAMES - 1)
+    driver.key(Qt.Key.Key_PageUp, ALT)
+    assert driver.state.frame == PRESSED
+    driver.seek(0)
+    driver.key(Qt.Key.Key_PageDown, ALT)
+    assert driver.state.frame == PRESSED
+    driver.key(Qt.Key.Key_PageDown, ALT)
+    assert driver.state.frame == PRESSED
+    assert "No further frame that is not trusted" in window.notice.label.text()
 
 
 def test_zero_correction_of_a_recording_is_reported(drive, sensor, tmp_path):

@@ -146,13 +146,13 @@ class FrameHistory:
         free[np.flatnonzero(self._untouched)[:WRENCH_FRAMES]] = True
         return measured_force(self._wrench, free)
 
-    def next_contact(self, frame: int, direction: int) -> int | None:
-        """First frame of the next contact, or of the previous one (`direction` −1).
+    def next_start(self, kind: int, frame: int, direction: int) -> int | None:
+        """First of the next frames in a contact state, or of the previous ones (`direction` −1).
 
         Only computed frames count; None if there is none.
         """
-        touching = self.contact == CONTACT
-        begins = np.flatnonzero(touching & ~np.concatenate([[False], touching[:-1]]))
+        wanted = self.contact == kind
+        begins = np.flatnonzero(wanted & ~np.concatenate([[False], wanted[:-1]]))
         found = begins[begins > frame][:1] if direction > 0 else begins[begins < frame][-1:]
         return int(found[0]) if found.size else None
 

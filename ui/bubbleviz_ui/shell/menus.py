@@ -17,6 +17,7 @@ import bubbleviz
 from bubbleviz.files import SESSION_SUFFIX, preset_names
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.source import RECORDINGS
+from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
@@ -133,8 +134,13 @@ class Menus:
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
         self._add(menu, "&Last frame", self._last_frame, "End")
         self._add(menu, "&Go to frame…", self._go_to_frame, "Ctrl+G")
-        self._add(menu, "Next contact", lambda: self._seek_contact(1), "Ctrl+PgDown")
-        self._add(menu, "Previous contact", lambda: self._seek_contact(-1), "Ctrl+PgUp")
+        for title, kind, key in (
+            ("{} contact", CONTACT, "Ctrl+Pg"),
+            ("{} frame not trusted", UNTRUSTED, "Alt+Pg"),
+        ):
+            for which, direction, end in (("Next", 1, "Down"), ("Previous", -1, "Up")):
+                seek = partial(self._seek_start, kind, direction)
+                self._add(menu, title.format(which), seek, key + end)
         self._add(menu, "Largest force", self._seek_largest_force, "Ctrl+Home")
         self._add(menu, "Analyse all frames", self._window.controller.analysis.start)
         menu.addSeparator()
@@ -304,10 +310,11 @@ class Menus:
         if chosen:
             state.step(frame - state.frame)
 
-    def _seek_contact(self, direction: int) -> None:
+    def _seek_start(self, kind: int, direction: int) -> None:
         state = self._window.state
-        found = state.history.next_contact(state.frame, direction)
-        self._seek_found(found, "No further contact")
+        found = state.history.next_start(kind, state.frame, direction)
+        what = "contact" if kind == CONTACT else "frame that is not trusted"
+        self._seek_found(found, f"No further {what}")
 
     def _seek_largest_force(self) -> None:
         frame, missing = self._window.state.history.largest_force(), self._frames_to_analyse
