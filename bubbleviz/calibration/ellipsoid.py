@@ -117,14 +117,14 @@ def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellips
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
     """Robust least squares: Cauchy loss first, then Tukey loss from the surface it found."""
     few = _subsample(points)
-    for loss in ("cauchy", tukey_loss, tukey_loss):
+    for loss in ("cauchy", tukey_loss):
         surface = _minimise(few, surface, loss, sphere=sphere)
     if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
         raise InputError(
             "contact-free depth: too flat, no dome fits; inflate the membrane, or choose frames in "
             "which nothing touches it"
         )
-    return surface if len(points) == len(few) else _refined(points, surface, sphere=sphere)
+    return _refined(points, surface, sphere=sphere)
 
 
 def _refined(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:

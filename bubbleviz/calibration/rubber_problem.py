@@ -352,6 +352,7 @@ class RubberProblem:
         from scipy.optimize import least_squares  # 0.1 s: not at the window's start
 
         root, data = self._root / (scale or self._scale(vector)), self._root.size
+        tolerance = _TOLERANCE if scale else 1e-2  # plain least squares are a start for Tukey's
         priors, prior_values = self._priors(gauge_sigma)
 
         # In q and log G the curved valley of shapes that fit almost as well is straight.
@@ -385,7 +386,7 @@ class RubberProblem:
         x_scale[:2] = 0.1
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
-            loss=loss, xtol=_TOLERANCE, ftol=_TOLERANCE,  # type: ignore[arg-type]  # loss's name in stubs
+            loss=loss, xtol=tolerance, ftol=tolerance,  # type: ignore[arg-type]  # loss's name in stubs
         ).x  # fmt: skip
         return of(found)
 

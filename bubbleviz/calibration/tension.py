@@ -134,7 +134,8 @@ def estimate_tension(
     linear, variance = _linear_free_form(surfaces)
     if surfaces.chosen != "free-form":
         linear = _linear_cap(samples, surfaces)
-    now, (tiles, frames) = linear[0], _errors(samples, linear, progress)
+    stride = surfaces.stride
+    now, (tiles, frames) = linear[0], _errors(samples, linear, stride, progress)
     sphere, cap, gas = surfaces.sphere, surfaces.cap, samples.gas_pressure_pa
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * float(sphere.semi_axes_m[0]),
@@ -143,7 +144,8 @@ def estimate_tension(
     }
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
-    together = max(1.0, samples.statistics.correlated_pixels)  # they count as one pixel
+    # fitted pixels that count as one
+    together = max(1.0, samples.statistics.correlated_pixels / stride**2)
     shape = [
         surfaces.free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together)),
         by_surface["free-form"] - by_surface[other],
@@ -176,15 +178,18 @@ def estimate_tension(
     return under_1_pa.under(gauge)
 
 
-def _errors(samples: FrameSamples, linear: Linear, progress: Progress) -> list[np.ndarray]:
+def _errors(
+    samples: FrameSamples, linear: Linear, stride: int, progress: Progress
+) -> list[np.ndarray]:
     """Standard deviations of the quantities by the pixels, and by drift of the frames."""
     now, pixels, influence, residual_m, parameters = linear
-    statistics = samples.statistics
+    statistics, width = samples.statistics, samples.camera.intrinsics.width
+    (row, column), columns = np.divmod(pixels, width), -(-width // stride)
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
     covariances = cluster_covariances(
         statistics,
-        (pixels, samples.camera.intrinsics.width, 1),
+        (row // stride * columns + column // stride, columns, stride),
         samples.depth_m.reshape(len(samples.depth_m), -1),
         pixels,
         np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth),
@@ -205,7 +210,7 @@ fitted parameters."""
 def _linear_cap(samples: FrameSamples, surfaces: Surfaces) -> Linear:
     own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     numbers = _cap_numbers(own, sphere=sphere)
-    pixels = np.flatnonzero((surfaces.usable & np.isfinite(samples.statistics.range_m)).ravel())
+    pixels = np.flatnonzero((surfaces.fitted & np.isfinite(samples.statistics.range_m)).ravel())
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     distance, J = own.distance(points), own.derivatives(points, sphere=sphere)
     sigma = robust_sigma(distance, center=0.0)
@@ -241,7 +246,7 @@ def _upper_half(samples: FrameSamples, surfaces: Surfaces) -> float:
     On a sphere or an ellipsoid this equals γ0 of the full fit, up to noise. An inflated sheet
     differs from either by micrometres, with an error of γ0 of about the difference of the two fits.
     """
-    pixels = np.flatnonzero(surfaces.usable)
+    pixels = np.flatnonzero(surfaces.fitted)
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
     refit = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper)

@@ -95,7 +95,8 @@ class Workbench:
         progress = part_of(progress, 0.0, 1.0)
         ends = np.cumsum([share for step, share in _SHARES.items() if step <= last])
         parts = [part_of(progress, *pair) for pair in pairwise([0.0, *(ends / ends[-1:])])]
-        executor = ThreadPoolExecutor(1)  # measures other levels and the press beside the surface
+        # measures other levels and the press beside the surface
+        executor = ThreadPoolExecutor(max(1, len(settings.levels)))
         beside = part_of(progress, 0.0, 0.0)
         try:
             levels = [
