@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Mapping
 from contextlib import ExitStack
@@ -122,6 +123,16 @@ class Pneumatics(Section):
     def atmosphere_is_local(self) -> bool:
         """Whether the atmospheric pressure was given for a place, and is not the standard one."""
         return self.atmospheric_pressure_pa != STANDARD_ATMOSPHERE_PA
+
+    @property
+    def atmospheric_sigma_pa(self) -> float:
+        """Standard deviation of the atmospheric pressure of another day, Pa.
+
+        By the weather, and by the altitude if the pressure is the standard one.
+        """
+        if self.atmosphere_is_local:
+            return WEATHER_SIGMA_PA
+        return math.hypot(WEATHER_SIGMA_PA, ALTITUDE_SIGMA_PA)
 
 
 class Lens(Section):

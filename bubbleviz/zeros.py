@@ -19,7 +19,7 @@ from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, FrameSource, Recording, force_of
 from bubbleviz.result import HALF_95, Result
-from bubbleviz.sensor import WEATHER_SIGMA_PA
+from bubbleviz.sensor import WEATHER_SIGMA_PA, Pneumatics
 
 ZERO_FRAMES = 15  # contact-free frames for a zero, which is their median: half a second at 30 Hz
 MIN_FRAMES = 3
@@ -130,16 +130,17 @@ class PressureZero:
     """Shifts the measured gas pressure so that it equals the sensor file's without contact.
 
     The sensor file has gauge and atmospheric pressure of the day it was made. The weather of
-    another day (±2 kPa) and the offset of a pressure sensor would look like contact, so they are
-    subtracted. Until they are known, frames have the weather's standard deviation in
-    `gas_sigma_pa`.
+    another day (±2 kPa), the altitude (±10 kPa where the file has the standard atmosphere) and the
+    offset of a pressure sensor would look like contact, so they are subtracted. Until they are
+    known, frames have the standard deviation of weather and altitude in `gas_sigma_pa`.
     """
 
     def __init__(
         self,
         reference_pa: float,  # absolute pressure of the inflated, untouched bubble in the file, Pa
+        sigma_pa: float = WEATHER_SIGMA_PA,  # standard deviation of that of another day or place
     ) -> None:
-        self.reference_pa = reference_pa
+        self.reference_pa, self.sigma_pa = reference_pa, sigma_pa
         self.offset_pa: float | None = None  # of the measured pressure; None: unknown
         self.frames = 0  # contact-free frames used for the offset
         self.frozen = False  # whether the sensor repeats one value, which then is not used
@@ -147,17 +148,23 @@ class PressureZero:
         self._collecting = True
         self._to_skip = 0
 
+    @classmethod
+    def of(cls, pneumatics: Pneumatics) -> PressureZero:
+        """For a sensor file."""
+        return cls(pneumatics.reference_pressure_pa, pneumatics.atmospheric_sigma_pa)
+
     @property
     def waiting(self) -> bool:
         """Whether contact-free frames are still being collected."""
         return self._collecting
 
-    def refer_to(self, reference_pa: float) -> None:
-        """Use the gas pressure of another sensor file, Pa.
+    def refer_to(self, reference_pa: float, sigma_pa: float = WEATHER_SIGMA_PA) -> None:
+        """Use the gas pressure of another sensor file and its standard deviation, Pa.
 
         The pressure measured at rest is kept, so the offset changes with the reference. A new zero
         is collected, as frames without contact by one sensor file may have contact by the other.
         """
+        self.sigma_pa = sigma_pa
         if reference_pa == self.reference_pa:
             return
         if self.offset_pa is not None:
@@ -208,10 +215,10 @@ class PressureZero:
         if self.frozen:
             return "gas pressure zero: none, as the recorded pressure never changes; it is not used"
         if self.offset_pa is None:
-            weather = 1e-3 * HALF_95 * WEATHER_SIGMA_PA
+            causes = "the weather" if self.sigma_pa == WEATHER_SIGMA_PA else "weather and altitude"
             return (
                 f"gas pressure zero: unknown without {MIN_FRAMES} contact-free frames in a row, "
-                f"so within ±{weather:.0f} kPa by the weather (95 %)"
+                f"so within ±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa by {causes} (95 %)"
             )
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 
@@ -227,7 +234,7 @@ class PressureZero:
         if self.frozen:
             return replace(frame, gas_pressure_pa=None)
         if self.offset_pa is None:
-            return replace(frame, gas_sigma_pa=WEATHER_SIGMA_PA)
+            return replace(frame, gas_sigma_pa=self.sigma_pa)
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
 
 
@@ -263,7 +270,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
     if all(each is None for each in pressures) and all(each is None for each in others):
         return Zeros(None, image)
-    gas = PressureZero(pipeline.model.gas.P0)
+    gas = PressureZero.of(pipeline.model.sensor.pneumatics)
     measured = [pressure for pressure in pressures if pressure is not None]
     if len(measured) >= MIN_FRAMES:
         gas.frozen = len(set(measured)) == 1 and _is_frozen(source)

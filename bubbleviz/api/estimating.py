@@ -121,8 +121,8 @@ def estimate(
         Expected coefficient of friction on the exact membrane, 1 by default; 0 for no friction.
     zero_gas : bool
         Shift the measured gas pressure so that contact-free frames have that of the sensor file.
-        Without such frames the interval of the force includes the ±2 kPa of the weather. False: no
-        shift.
+        Without such frames the interval of the force includes the ±2 kPa of the weather, or ±10 kPa
+        if the file has the standard atmosphere. False: no shift.
     shear : bool
         Force by depth and colour images together, with friction at every node, and slip.
     colour_delay_s : float, optional

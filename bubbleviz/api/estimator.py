@@ -63,8 +63,8 @@ class Estimator:
         As in `estimate`.
     zero_gas : bool
         Shift the measured gas pressure so that it equals the sensor file's without contact, after
-        the first 15 consecutive contact-free images; until then assume an error of ±2 kPa, by the
-        weather. False: no shift.
+        the first 15 consecutive contact-free images; until then assume an error of ±2 kPa by the
+        weather, or ±10 kPa if the file has the standard atmosphere. False: no shift.
     shear : bool
         Force by depth and colour together, with friction at every node, and slip; after 20 colour
         images without contact.
@@ -124,7 +124,7 @@ class Estimator:
             from bubbleviz.shear import PassingTexture  # needs OpenCV
 
             texture = PassingTexture(pipeline)
-        gas = PressureZero(pipeline.model.gas.P0) if self._zero_gas else None
+        gas = PressureZero.of(pipeline.model.sensor.pneumatics) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self.solver = FrameSolver(
             pipeline, products, self._options, Zeros(gas, ImageZero()), texture

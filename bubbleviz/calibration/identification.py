@@ -16,7 +16,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.recordings import ContactFree, DepthStatistics, FrameSource, error_of_mean
 from bubbleviz.sensor import (
-    ALTITUDE_SIGMA_PA,
     ATMOSPHERES,
     MIN_NOISE,
     WEATHER_SIGMA_PA,
@@ -33,6 +32,8 @@ if TYPE_CHECKING:
     from bubbleviz.calibration.validation import Validation
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
+_FILE = "the sensor file"
+_VENT = "give the recording of the open chamber"
 
 
 _NOT_YET: Any = None  # value of a result whose step was not done
@@ -146,49 +147,71 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
     recorded pressure less the sensor file's atmospheric pressure, with the deviation of weather,
     and of altitude if that is the standard atmosphere.
-    Where the recorded pressure differs from that of the sensor file, either the weather or the
-    inflation has changed, so the difference, up to the weather's, adds to the file's deviation.
     """
-    pneumatics, in_file = sensor.pneumatics, "the sensor file"
+    pneumatics = sensor.pneumatics
     gauge, sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
     gas = samples.gas_pressure_pa
-    if gas is None:
-        if vented is not None:
-            raise InputError(
-                f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
-                f"{vented.source} does not determine the gauge pressure; record it in all of "
-                "them, or give no open chamber (--vented)"
-            )
-        return Quantity.normal(gauge, sigma, in_file)
-    recorded = float(np.mean(gas))
-    air = pneumatics.atmospheric_pressure_pa if vented is None else vented.value
-    if sigma is not None and vented is None:
-        if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
-            raise InputError(
-                f"{samples.source_name}: gas pressure {recorded:.0f} Pa minus the sensor file's "
-                f"gauge pressure {gauge:.0f} Pa is not a plausible atmospheric pressure; record "
-                "the absolute pressure in Pa, or correct gauge_pressure_pa in the sensor file"
-            )
-        change = min(abs(recorded - pneumatics.reference_pressure_pa), WEATHER_SIGMA_PA)
-        return Quantity.normal(gauge, float(np.hypot(sigma, change)), in_file)
-    gauge = recorded - air
-    if gauge <= 0.0:
-        whose, remedy = f"atmospheric_pressure_pa of {in_file}", "correct that"
-        if vented is not None:
-            whose, remedy = vented.source, "give the recording of the open chamber"
+    if gas is not None and vented is not None:
+        return _above_open_chamber(samples.source_name, gas, vented)
+    if gas is not None:
+        return _without_open_chamber(samples.source_name, float(np.mean(gas)), pneumatics)
+    if vented is not None:
         raise InputError(
-            f"{samples.source_name}: gas pressure {recorded:.0f} Pa is not above the atmospheric"
-            f" {air:.0f} Pa from {whose}; inflate the bubble, record the absolute pressure in Pa, "
-            f"or {remedy}"
+            f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
+            f"{vented.source} does not determine the gauge pressure; record it in all of "
+            "them, or give no open chamber (--vented)"
         )
-    if vented is None:
-        outside, sigma = f"the atmospheric pressure in {in_file}", WEATHER_SIGMA_PA
-        if not pneumatics.atmosphere_is_local:
-            outside = f"the standard atmosphere, as {in_file} has no local one"
-            sigma = float(np.hypot(sigma, ALTITUDE_SIGMA_PA))
-        return Quantity.normal(gauge, sigma, f"the recorded gas pressure minus {outside}")
+    return Quantity.normal(gauge, sigma, _FILE)
+
+
+def _above_open_chamber(name: str, gas: np.ndarray, vented: Quantity) -> Quantity:
+    gauge = float(np.mean(gas)) - vented.value
+    if gauge <= 0.0:
+        raise _not_above(name, gauge, vented.value, vented.source, _VENT)
     sigma = max(float(np.hypot(vented.sigma, error_of_mean(gas))), _RESOLUTION_PA)
     return Quantity.normal(gauge, sigma, vented.source)
+
+
+def _without_open_chamber(name: str, recorded: float, pneumatics: Pneumatics) -> Quantity:
+    """Gauge pressure by the recorded gas pressure and the sensor file.
+
+    Where the recorded pressure differs from that of the sensor file, either the weather or the
+    inflation has changed, so the difference, up to the weather's, adds to the file's deviation.
+    Altitude lowers the atmospheric pressure, so the gauge pressure above the standard atmosphere is
+    the least there may be: a higher one in the file is taken.
+    """
+    in_file, air = pneumatics.gauge_pressure_pa, pneumatics.atmospheric_pressure_pa
+    gauge, sigma = recorded - air, pneumatics.atmospheric_sigma_pa
+    if pneumatics.gauge_sigma_pa is not None:
+        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA)
+        gauge, sigma, source = in_file, float(np.hypot(pneumatics.gauge_sigma_pa, change)), _FILE
+    elif pneumatics.atmosphere_is_local:
+        source = f"the recorded gas pressure minus the atmospheric pressure in {_FILE}"
+        if gauge <= 0.0:
+            whose = f"atmospheric_pressure_pa of {_FILE}"
+            raise _not_above(name, gauge, air, whose, "correct that")
+    elif gauge >= in_file:
+        source = (
+            "the recorded gas pressure minus the standard atmosphere, as "
+            f"{_FILE} has no local atmospheric pressure"
+        )
+    else:
+        sigma = float(np.hypot(sigma, in_file - gauge))
+        gauge, source = in_file, f"{_FILE}, which has no local atmospheric pressure"
+    if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
+        raise InputError(
+            f"{name}: gas pressure {recorded:.0f} Pa minus the sensor file's gauge pressure "
+            f"{gauge:.0f} Pa is not a plausible atmospheric pressure; record the absolute pressure "
+            "in Pa, or correct gauge_pressure_pa in the sensor file"
+        )
+    return Quantity.normal(gauge, sigma, source)
+
+
+def _not_above(name: str, gauge: float, air: float, whose: str, remedy: str) -> InputError:
+    return InputError(
+        f"{name}: gas pressure {gauge + air:.0f} Pa is not above the atmospheric {air:.0f} Pa from "
+        f"{whose}; inflate the bubble, record the absolute pressure in Pa, or {remedy}"
+    )
 
 
 def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:

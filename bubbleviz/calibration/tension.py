@@ -106,7 +106,10 @@ class TensionEstimate:
         shape, other = self.of_shape, HALF_95 * self.parts.get("gauge_pressure", 0.0)
         low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
         ends = shape.value - low, shape.value + high
-        return Quantity(shape.value, *ends, "shape and gauge pressure")
+        source = "shape and gauge pressure"
+        if not self.gauge.known:
+            source = "shape, relative to the sensor file's gauge pressure"
+        return Quantity(shape.value, *ends, source)
 
     def under(self, gauge: Quantity) -> TensionEstimate:
         """The same estimate for another gauge pressure with its interval."""

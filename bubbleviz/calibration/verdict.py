@@ -62,10 +62,16 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
     if relative > _USABLE or (found.rubber is not None and found.rubber.contradicts_file):
         grade = "doubtful"
     value, low, high = tension.texts(2)
+    gauge = found.tension.gauge
+    condition = f"at {pressure(gauge.value)} gauge pressure"
+    if not gauge.known:
+        condition = (
+            f"at an assumed gauge pressure of {pressure(gauge.value)}, to which γ0 and every force "
+            "are proportional"
+        )
     summary = (
         f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high}"
-        f" ({_percent(relative)} either way), at"
-        f" {pressure(found.tension.gauge.value)} gauge pressure"
+        f" ({_percent(relative)} either way), {condition}"
     )
     return Verdict(grade, summary, (_surface(found), *warnings), parameters(found, pressure))
 
@@ -93,6 +99,9 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
     gauge = tension.gauge
     change = gauge.value / given - 1.0
+    local = ", or enter the atmospheric pressure of the place in the sensor file"
+    if found.given.pneumatics.atmosphere_is_local:
+        local = ""
     if rubber is not None and rubber.gauge_candidates is not None and rubber.contradicts_file:
         shapes, file = (_interval(each, pressure) for each in rubber.gauge_candidates)
         out.append(
@@ -103,7 +112,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     elif gauge.half_width > _USABLE * gauge.value:
         out.append(
             f"The gauge pressure is known to ±{_percent(gauge.half_width / gauge.value)}, and every"
-            " force no better: record the open chamber for ten seconds (--vented)."
+            f" force no better: record the open chamber for ten seconds (--vented){local}."
         )
     if (rubber is None or rubber.gauge_candidates is None) and abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"

@@ -249,5 +249,5 @@ class LiveSession:
 
 def _open(place: SensorPlace) -> LiveSensor:
     sensor = with_colour_delay(load_sensor(place.sensor), place.colour_delay_s)
-    zero = PressureZero(sensor.pneumatics.reference_pressure_pa)
+    zero = PressureZero.of(sensor.pneumatics)
     return LiveSensor(place, sensor, open_stream(place.source, sensor), zero)

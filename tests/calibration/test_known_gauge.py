@@ -230,16 +230,35 @@ def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
         rest_gauge(gauge_only, known)
 
 
-def test_standard_atmosphere_may_be_that_of_another_altitude(rest_samples):
-    """In a lab 225 m up; the same number as its local pressure would be wrong by more than σ."""
+@pytest.mark.parametrize("air_pa", [98.7e3, 95.0e3, 84.5e3])
+def test_standard_atmosphere_may_be_that_of_another_altitude(rest_samples, air_pa):
+    """In labs 225, 540 and 1500 m up, the recorded pressure tells the gauge pressure no better."""
     up = replace(
-        rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA + 98.7e3
+        rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - ATMOSPHERE_PA + air_pa
     )
-    local, unknown = (
-        rest_gauge(up, sensor_file(atmospheric_pressure_pa=air)) for air in (101_326.0, 101_325.0)
-    )
-    assert local.high < GAUGE_PA < unknown.high
-    assert local.value == pytest.approx(unknown.value - 1.0) and "standard" in unknown.source
+    gauge = rest_gauge(up, sensor_file(gauge_pressure_pa=4000.0))
+    assert gauge.value == 4000.0 and gauge.high > GAUGE_PA
+    assert gauge.sigma > abs(GAUGE_PA + air_pa - ATMOSPHERE_PA - 4000.0)
+    assert "no local atmospheric pressure" in gauge.source
+    local = sensor_file(gauge_pressure_pa=4000.0, atmospheric_pressure_pa=101_326.0)
+    if air_pa > ATMOSPHERE_PA - GAUGE_PA:
+        assert rest_gauge(up, local).high < GAUGE_PA
+    else:
+        with pytest.raises(InputError, match="not above the atmospheric 101326 Pa"):
+            rest_gauge(up, local)
+    kilopascals = replace(up, gas_pressure_pa=1e-3 * up.gas_pressure_pa)
+    with pytest.raises(InputError, match="record the absolute pressure in Pa"):
+        rest_gauge(kilopascals, sensor_file())
+
+
+def test_no_gas_pressure_makes_tension_relative(identified):
+    found = identified(gauge_pressure_pa=4000.0)
+    silent = replace(found.samples, gas_pressure_pa=None)
+    gauge = rest_gauge(silent, found.given)
+    verdict = judge(replace(found, samples=silent, rubber=None, tension=found.tension.under(gauge)))
+    assert "at an assumed gauge pressure of 4000 Pa" in verdict.summary
+    (row,) = (each for each in verdict.parameters if each.name == "γ0")
+    assert "relative to the sensor file's gauge pressure" in row.told_by
 
 
 def test_open_chamber_replaces_the_gauge_pressure_of_the_file(rest_samples):

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.calibration import judge
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 
-from .identified import identify
+from .identified import identify, with_air
 from .twin import ATMOSPHERE, FREE, cast, make_twin, nominal_sensor
 
 
@@ -17,9 +18,9 @@ def twin():
     return make_twin()
 
 
-def refused(source, match, frames=range(12)):
+def refused(source, match, frames=range(12), sensor=None):
     with pytest.raises(InputError, match=match) as error:
-        identify(source, nominal_sensor(), frames, nodes=200)
+        identify(source, sensor or nominal_sensor(), frames, nodes=200)
     assert "\n" not in str(error.value)
     assert str(error.value).startswith(source.name)
     return str(error.value)
@@ -62,7 +63,14 @@ def test_false_return_is_not_a_dent(twin):
 
 @pytest.mark.parametrize("gauge", [0.0, -200.0])
 def test_no_gauge_pressure(twin, gauge):
-    refused(replace(twin, pressures=[ATMOSPHERE + gauge] * len(twin)), "not above the atmospheric")
+    local = with_air(nominal_sensor(), ATMOSPHERE - 1.0)
+    pressures = [ATMOSPHERE - 1.0 + gauge] * len(twin)
+    refused(replace(twin, pressures=pressures), "not above the atmospheric", sensor=local)
+    pressures = [ATMOSPHERE + gauge] * len(twin)  # or higher up, as the file names no place
+    found = identify(replace(twin, pressures=pressures), nominal_sensor(), range(12), nodes=200)
+    verdict = judge(found)
+    assert verdict.grade == "doubtful"
+    assert any("enter the atmospheric pressure of the place" in each for each in verdict.advice)
 
 
 @pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1, 0.001])

@@ -20,6 +20,7 @@ from tests.small_press import changed
 SHIFTS = (300.0, 1000.0, 3000.0, -1000.0)
 SHIFTED = [pytest.param(each, marks=pytest.mark.long) for each in SHIFTS[:2]] + [*SHIFTS[2:]]
 REST, HELD = 6, 3
+AIR_PA = 98_700.0  # of the place
 
 
 def shifted(frames, shift_pa):
@@ -29,7 +30,7 @@ def shifted(frames, shift_pa):
 @pytest.fixture(scope="module")
 def twin():
     """A rubber dome that a ball is pressed into: sensor, frames at rest and in contact, force."""
-    sensor = dome_sensor(camera_of(160, 107.5))
+    sensor = dome_sensor(camera_of(160, 107.5), atmosphere_pa=AIR_PA)
     sensor = changed(sensor, membrane={"prestretch": 1.2, "nodes": 500})
     model = SensorModel.of(sensor, nodes=1500)
     ball, pose = load_object("sphere"), np.eye(4)
@@ -40,8 +41,9 @@ def twin():
     gauge = sensor.pneumatics.gauge_pressure_pa + np.array([0.0, press.gas_pressure_change_pa])
     times = np.repeat([0, 1], [REST, HELD])
     frames: Renders = render(
-        "press", sensor.camera, shapes[times], model.mesh.triangles, gauge[times]
-    )
+        "press", sensor.camera, shapes[times], model.mesh.triangles, gauge[times],
+        atmosphere_pa=AIR_PA,
+    )  # fmt: skip
     return sensor, list(frames), press.nodal_force_n.sum(axis=0)
 
 
@@ -73,6 +75,20 @@ def test_interval_covers_the_force_without_contact_free_frames(twin, usual, shif
         size = np.linalg.norm(estimate.force_n)
         assert abs(size - np.linalg.norm(before.force_n)) < estimate.force_half_width_n
         assert size == pytest.approx(np.linalg.norm(force), rel=0.05)
+
+
+def test_standard_atmosphere_leaves_the_altitude_open(twin, usual):
+    """A file that names no place, used 225 m up, without frames to find the zero by."""
+    sensor, frames, _ = twin
+    nowhere = changed(sensor, pneumatics={"atmospheric_pressure_pa": 101_325.0})
+    pipeline = Pipeline.of(nowhere)
+    zero = zeros_of(HeldFrames(frames[REST:]), pipeline).gas
+    assert zero.offset_pa is None and "±10 kPa by weather and altitude" in zero.words
+    for frame, before in zip(frames[REST:], usual[REST:], strict=True):
+        estimate = pipeline.process(zero.applied(frame), frozenset({"estimate"})).estimate
+        assert estimate.status == "ok"
+        change = np.linalg.norm(estimate.force_n) - np.linalg.norm(before.force_n)
+        assert abs(change) < estimate.force_half_width_n
 
 
 def test_constant_contact_is_not_contact_free(twin):

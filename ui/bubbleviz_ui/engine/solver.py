@@ -441,7 +441,8 @@ class Solver:
             frame = source[index]
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if stream is not None:
-                stream.zero.refer_to(pipeline.model.gas.P0)
+                sigma_pa = sensor.pneumatics.atmospheric_sigma_pa
+                stream.zero.refer_to(pipeline.model.gas.P0, sigma_pa)
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
             bias = wrench_bias(source, pipeline)
             current = OpenSource(request.source, source, pipeline, settings, bias)
