@@ -147,6 +147,10 @@ class PressureZero:
         self._free: list[float] = []
         self._collecting = True
         self._to_skip = 0
+        # first pressure of live frames, whether another came, and counts of those without and with
+        # contact
+        self._first_pa: float | None = None
+        self._changed, self._followed = False, [0, 0]
 
     @classmethod
     def of(cls, pneumatics: Pneumatics) -> PressureZero:
@@ -203,6 +207,14 @@ class PressureZero:
         if len(self._free) >= ZERO_FRAMES:
             self.take(self._free)
 
+    def watch(self, raw_pressure_pa: float, *, contact: bool) -> None:
+        """Notice a live sensor that repeats one value, Pa, half a second in contact and without."""
+        if self._first_pa is None:
+            self._first_pa = raw_pressure_pa
+        self._changed = self._changed or raw_pressure_pa != self._first_pa
+        self._followed[contact] += 1
+        self.frozen = not self._changed and min(self._followed) >= ZERO_FRAMES
+
     def take(self, pressures_pa: Sequence[float]) -> None:
         """Compute the zero from the measured pressures of contact-free frames, Pa."""
         self.offset_pa = float(np.median(pressures_pa)) - self.reference_pa
@@ -254,6 +266,13 @@ class Zeros(NamedTuple):
         if gas is not None and measured_pa is not None and gas.wants_next():
             gas.learn(measured_pa, contact_free=pipeline.is_untouched(frame))
         return self.applied(frame)
+
+    def follow(self, raw: Frame, result: Result, pipeline: Pipeline) -> None:
+        """Use a solved live frame, given too as it was measured; zeros of recordings are fixed."""
+        self.image.follow(result, pipeline)
+        if not self.image.fixed and self.gas is not None and raw.gas_pressure_pa is not None:
+            contact = result.estimate is not None and result.estimate.status == "ok"
+            self.gas.watch(raw.gas_pressure_pa, contact=contact)
 
 
 def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:

@@ -42,6 +42,7 @@ RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
 """Files in the result folder of a recording."""
 SUFFIXES = (".mcap", ".db3", ".bag")
 _SUMMARY_TABLE, _LOCK = "summary.csv", ".batch.lock"
+_OF_OPEN = "frames", "depth_topic"  # options that `open` takes
 _NAN = float("nan")
 _HEADER = (
     *("recording", "frames", "contact", "max N", "mean N", "wrench N", "residual mm", "ms/frame"),
@@ -182,7 +183,7 @@ class Job:
     recording: str  # absolute path
     out: str  # folder of its result
     sensor: str  # file, preset or `auto`
-    options: dict[str, Any]  # of `estimate`, and `frames` of `open`
+    options: dict[str, Any]  # of `estimate`, and `_OF_OPEN`
     keep: bool = True  # reuse an existing result of the same recording and settings
 
 
@@ -221,7 +222,8 @@ def batch(
     progress : callable
         Called with each finished recording and the share of finished ones; may raise to stop.
     **options
-        `kappa`, `solver`, `friction` and others of `estimate`, `frames` of `open`.
+        `kappa`, `solver`, `friction` and others of `estimate`; `frames` and `depth_topic` of
+        `open`.
 
     Raises
     ------
@@ -344,7 +346,8 @@ def _lost(job: Job, why: str) -> BatchRow:
 
 def _run(job: Job) -> BatchRow:
     out = Path(job.out)
-    sensor_name, sensor = checked_sensor(job.recording, job.sensor)
+    topic = job.options.get("depth_topic")
+    sensor_name, sensor = checked_sensor(job.recording, job.sensor, topic)
     named = [sensor.membrane.mesh_file, sensor.calibration and sensor.calibration.pixels_file]
     files = [Path(job.recording), *(sensor.resolve(file) for file in named if file)]
     inputs = {**job.options, "sensor": sensor_to_toml(sensor), "version": bubbleviz.__version__}
@@ -379,11 +382,9 @@ def _estimated(job: Job, sensor_name: str, key: str) -> BatchRow:
     out.parent.mkdir(parents=True, exist_ok=True)
     if out.is_dir() and {path.name for path in out.iterdir()} <= {RESULT, TABLE, SUMMARY}:
         shutil.rmtree(out)  # a result of other settings; folders with other files are kept
-    options = {name: value for name, value in job.options.items() if name != "frames"}
-    with (
-        whole_file(out) as folder,
-        open(job.recording, job.options.get("frames")) as frames,
-    ):
+    options = {name: value for name, value in job.options.items() if name not in _OF_OPEN}
+    opening = {name: job.options.get(name) for name in _OF_OPEN}
+    with whole_file(out) as folder, open(job.recording, **opening) as frames:
         folder.mkdir()
         run = estimate(frames, sensor_name, out=folder / RESULT, csv=folder / TABLE, **options)
         row = BatchRow.of(job.name, run.rows(), run.context)

@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
 import numpy as np
 
 import bubbleviz
-from bubbleviz.api.estimator import FrameSolver, patch_options, solved
+from bubbleviz.api.estimator import (
+    FrameSolver,
+    patch_options,
+    refuse_frictionless_shear,
+    solved,
+)
 from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
@@ -348,6 +353,7 @@ def watch_texture(frames: Frames, pipeline: Pipeline) -> str:
             f"{frames.name}: shear needs the colour images of a ROS recording; open one (save a "
             "simulation first), or leave out shear"
         )
+    refuse_frictionless_shear(pipeline)
     source = frames.source
     return watch_recorded_texture(pipeline, source, lambda: find_contact_free(source).frames)
 

@@ -123,6 +123,7 @@ class Estimator:
         if self._shear:
             from bubbleviz.shear import PassingTexture  # needs OpenCV
 
+            refuse_frictionless_shear(pipeline)
             texture = PassingTexture(pipeline)
         gas = PressureZero.of(pipeline.model.sensor.pneumatics) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
@@ -247,6 +248,15 @@ class Estimator:
             )
 
 
+def refuse_frictionless_shear(pipeline: Pipeline) -> None:
+    """Raise InputError if colour images, which show friction, are asked for without friction."""
+    if not pipeline.options.friction:
+        raise InputError(
+            "--shear measures friction by colour images, which --friction 0 excludes; leave out "
+            "one of them"
+        )
+
+
 class FrameSolver:
     """Solves frames one after the other, for `Estimator`, recordings and streams.
 
@@ -275,9 +285,9 @@ class FrameSolver:
         """The products of the next frame."""
         self._measured_pa = self._measured_pa or frame.gas_pressure_pa
         with self._blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
-            frame = self.zeros.zeroed(frame, self.pipeline)
-            result = self.pipeline.process(frame, self._products, self._options)
-            self.zeros.image.follow(result, self.pipeline)
+            zeroed = self.zeros.zeroed(frame, self.pipeline)
+            result = self.pipeline.process(zeroed, self._products, self._options)
+            self.zeros.follow(frame, result, self.pipeline)
             if self.texture is not None:
                 self.texture.take(result)
         if result.estimate is not None and result.estimate.image_errors is not None:
@@ -293,8 +303,24 @@ class FrameSolver:
 
     def warnings(self, where: str) -> list[str]:
         """Warnings about the frames so far; `where` they are from: recording or source."""
-        found = self._sensor_warning(where), self._drift_warning(), self._friction_warning()
+        found = (
+            self._sensor_warning(where),
+            self._model_warning(),
+            self._drift_warning(),
+            self._friction_warning(),
+        )
         return [text for text in found if text]
+
+    def _model_warning(self) -> str:
+        """Warning if a calibrated sensor's forces are by a linear membrane; else empty."""
+        sensor = self.pipeline.model.sensor
+        if sensor.calibration is None or sensor.membrane.prestretch or not self._touched:
+            return ""
+        return (
+            "the sensor file has no pre-stretch, so forces are those of a linear membrane, off by "
+            "up to 14 % on rubber, and proportional to the gauge pressure; their intervals contain "
+            "neither. Identify the sensor with inflation levels"
+        )
 
     def _drift_warning(self) -> str:
         """Warning if depth images drift; else empty.
@@ -315,9 +341,16 @@ class FrameSolver:
         drift_m = float(units @ np.median(self._image_errors, axis=0) / by_offset)
         if abs(drift_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
             return ""
+        cause, remedy = "", "Let the camera warm up, or identify the sensor again"
+        if self._measured_pa is None:
+            cause = ", or the bubble is inflated to another pressure, which was not recorded"
+            remedy = (
+                "Inflate it as in the sensor file, record the gas pressure, or let the camera warm "
+                "up"
+            )
         return (
-            f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration; forces are "
-            "corrected for that. Let the camera warm up, or identify the sensor again"
+            f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
+            f"are corrected for a drift. {remedy}"
         )
 
     def _friction_warning(self) -> str:

@@ -411,6 +411,7 @@ def compare(first: Path, other: Path, **options: Any) -> None:
 @friction_option
 @zero_gas_option
 @frames_option
+@depth_topic_option
 @json_option
 def batch(**options: Any) -> None:
     """Estimate all recordings in a folder and its subfolders, in parallel.

@@ -15,7 +15,7 @@ import numpy as np
 from bubbleviz.errors import InputError, StreamStoppedError
 from bubbleviz.live.assembler import Counters, FrameAssembler
 from bubbleviz.live.live_source import Link, LiveSource
-from bubbleviz.recordings import NO_COLOUR, Frame, Message, size_refusal
+from bubbleviz.recordings import NO_COLOUR, Frame, Message, check_gas_unit, size_refusal
 from bubbleviz.sensor import Sensor
 
 # State of a live source.
@@ -208,7 +208,8 @@ class LiveStream:
         Raises
         ------
         InputError
-            No frame came, or only images that are not of the sensor's camera.
+            No frame came, only images that are not of the sensor's camera, or a gas pressure in
+            another unit.
         """
         patience_s = self.patience_s if patience_s is None else patience_s
         began, camera_by, frame = time.monotonic(), math.inf, None
@@ -218,6 +219,8 @@ class LiveStream:
             if frame is not None:
                 camera_by = min(camera_by, now + camera_s)
                 if frame.intrinsics is not None or ended or now >= camera_by:
+                    if frame.gas_pressure_pa is not None:
+                        check_gas_unit(frame.gas_pressure_pa, self.sensor, self.uri)
                     return frame
             else:
                 if error := self._size_refusal(1 if ended else MIN_WRONG_SIZE):

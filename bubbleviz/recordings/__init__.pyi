@@ -107,6 +107,7 @@ from .sensor_matching import (
     AUTO as AUTO,
     WEATHER_PA as WEATHER_PA,
     check_fits as check_fits,
+    check_gas_unit as check_gas_unit,
     checked_sensor as checked_sensor,
     fitting_sensor as fitting_sensor,
     gas_warning as gas_warning,

@@ -38,7 +38,7 @@ def check_fits(source: FrameSource, sensor: Sensor, sensor_name: str | Path) -> 
     """
     if isinstance(source, Recording):
         _check_camera_info(source)
-        _check_gas_unit(source, sensor)
+        _check_recorded_gas_unit(source, sensor)
     size, own = image_size(source), (sensor.camera.width, sensor.camera.height)
     if size != own:
         raise size_refusal(shown_name(source), size, sensor_name, own)
@@ -83,9 +83,11 @@ def gas_warning(
     )
 
 
-def checked_sensor(path: str | Path, name: str | Path | None) -> tuple[str, Sensor]:
+def checked_sensor(
+    path: str | Path, name: str | Path | None, depth_topic: str | None = None
+) -> tuple[str, Sensor]:
     """`fitting_sensor` of a recording that is not open yet."""
-    with closing(open_recording(path)) as source:
+    with closing(open_recording(path, depth_topic=depth_topic)) as source:
         return fitting_sensor(source, name)
 
 
@@ -138,23 +140,33 @@ def _check_camera_info(recording: Recording) -> None:
             )
 
 
-def _check_gas_unit(recording: Recording, sensor: Sensor) -> None:
-    """Refuse gas pressures that are the sensor file's in a unit other than Pa.
-
-    Gauge pressures in Pa are no other unit: their changes are right.
-    """
+def _check_recorded_gas_unit(recording: Recording, sensor: Sensor) -> None:
     if not len(measured := recording.gas_pressures_pa(_GAS_SAMPLE)):
         return
-    known, value = sensor.pneumatics, float(np.median(measured))
-    expected = known.reference_pressure_pa
+    topic = recording.value_topics[PRESSURE]
+    value, name = float(np.median(measured)), str(recording.path)
+    check_gas_unit(value, sensor, name, f" on {topic}", ", and record again")
+
+
+def check_gas_unit(
+    value: float,  # gas pressure as measured
+    sensor: Sensor,
+    name: str,  # of what it was measured in
+    where: str = "",  # it was measured there
+    then: str = "",  # what to do after mending it
+) -> None:
+    """Refuse a gas pressure that is the sensor file's in a unit other than Pa.
+
+    Gauge pressures in Pa are no other unit: their changes are right. Raises InputError.
+    """
+    known, expected = sensor.pneumatics, sensor.pneumatics.reference_pressure_pa
     misfits = {unit: abs(pa * value - expected) for unit, pa in _OTHER_UNITS_PA.items()}
     unit = min(misfits, key=misfits.__getitem__)
     if misfits[unit] < min(WEATHER_PA, abs(value - known.gauge_pressure_pa)):
-        topic = recording.value_topics[PRESSURE]
         raise InputError(
-            f"{recording.path}: gas pressure of {value:.4g} on {topic} is in {unit}, "
+            f"{name}: gas pressure of {value:.4g}{where} is in {unit}, "
             f"not in Pa as FluidPressure messages are (near {expected:.0f} by the sensor file); "
-            f"publish it times {_OTHER_UNITS_PA[unit]:g}, and record again"
+            f"publish it times {_OTHER_UNITS_PA[unit]:g}{then}"
         )
 
 

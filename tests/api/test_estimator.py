@@ -8,6 +8,7 @@ import pytest
 from small_press import HEIGHTS
 
 import bubbleviz as bv
+from bubbleviz.sensor import load_sensor
 from bubbleviz.zeros import SKIPPED, ZERO_FRAMES
 from tests.small_press import changed
 
@@ -106,6 +107,27 @@ def test_gas_pressure_is_zeroed_on_contact_free_images(frames, sensor):
     found = estimator.update(pressed.depth_m, pressed.gas_pressure_pa - 800.0)
     expected = bv.estimate([free, pressed], sensor, zero_gas=False)[1]
     np.testing.assert_allclose(found.force_n, expected.force_n, atol=0.02)
+
+
+def test_live_pressure_sensor_that_repeats_one_value_is_not_used(frames, sensor):
+    """It is noticed after half a second in contact, and again used when it changes."""
+    estimator, free, pressed = bv.Estimator(sensor), frames[0], frames[2]
+    for _ in range(ZERO_FRAMES):
+        estimator.update(free.depth_m, free.gas_pressure_pa)
+    for _ in range(ZERO_FRAMES):
+        estimator.update(pressed.depth_m, free.gas_pressure_pa)
+    assert "in the source never changes" in " ".join(estimator.solver.warnings("source"))
+    repeated = estimator.update(pressed.depth_m, free.gas_pressure_pa)
+    unmeasured = bv.estimate([free, replace(pressed, gas_pressure_pa=None)], sensor)[1]
+    np.testing.assert_allclose(repeated.force_n, unmeasured.force_n, atol=0.02)
+    estimator.update(pressed.depth_m, pressed.gas_pressure_pa)
+    assert "never changes" not in " ".join(estimator.solver.warnings("source"))
+
+
+def test_colour_without_friction_is_refused(sensor):
+    rubber = changed(load_sensor(sensor), membrane={"prestretch": 1.2})
+    with pytest.raises(bv.InputError, match="--shear measures friction by colour images"):
+        bv.Estimator(rubber, shear=True, friction=0.0)
 
 
 def test_object_is_tracked(frames, sensor):

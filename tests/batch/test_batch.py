@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from small_press import write_press
+from small_press import small_source, write_press
 
 import bubbleviz as bv
 from bubbleviz.api.batching import (
@@ -23,6 +23,7 @@ from bubbleviz.api.batching import (
 )
 from bubbleviz.errors import InputError
 from tests.program import COMMAND, output_of, python, refusal, rows_of, start
+from tests.recordings.bagmaker import START, BagMaker
 
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
 LONG = 80  # frames
@@ -334,3 +335,18 @@ def test_auto_reports_recordings_that_match_no_preset(recordings, tmp_path):
     row = run_job(job)
     assert row.outcome == "bad_input"
     assert "no preset has a camera of 56×43 pixels" in row.error
+
+
+def test_depth_topic_is_that_of_every_recording(tmp_path, sensor):
+    folder, bag = tmp_path / "in", BagMaker("mcap file")
+    for k, frame in enumerate(small_source(sensor)):
+        bag.image(START + k * 10**8, np.zeros_like(frame.depth_m), topic="/left/depth/image")
+        bag.image(START + k * 10**8, frame.depth_m, topic="/right/depth/image")
+    folder.mkdir()
+    shutil.copy(bag.write(tmp_path), folder)
+    words = (folder, "--sensor", sensor, "--jobs", "1", "--out")
+    assert batch(*words, tmp_path / "first").returncode == 2
+    done = batch(*words, tmp_path / "chosen", "--depth-topic", "/right/depth/image")
+    assert done.returncode == 0, done.stderr
+    (row,) = table_of(tmp_path / "chosen").values()
+    assert row["outcome"] == "done" and float(row["max_force_n"]) > 1.0

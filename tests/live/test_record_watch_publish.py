@@ -43,6 +43,13 @@ def has_frames(path):
         return False
 
 
+def test_live_gas_pressure_in_another_unit(tmp_path, small_sensor_file):
+    frames = (replace(each, gas_pressure_pa=1039.1) for each in small_source(small_sensor_file))
+    source = f"replay:{record(tmp_path / 'hpa.mcap', frames)}"
+    told = refusal("watch", "--source", source, "--sensor", small_sensor_file)
+    assert source in told and "is in hPa, not in Pa" in told and "times 100" in told
+
+
 def test_record_for_a_duration(tmp_path, small_sensor_file):
     out = tmp_path / "rec.mcap"
     words = ("--sensor", small_sensor_file, "--out", out, "--duration", 0.6, "--json")

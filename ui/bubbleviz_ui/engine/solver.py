@@ -221,7 +221,7 @@ class OpenSource:
         if self.opened is NO_SOURCE:
             return Result(frame)
         if stream is not None:
-            frame = self.zeros.zeroed(frame, pipeline)
+            measured, frame = frame, self.zeros.zeroed(frame, pipeline)
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
         if self.has_colour:
@@ -236,7 +236,7 @@ class OpenSource:
         else:
             result = solver_process.process(frame, products, demand.options)
         if stream is not None:
-            self.zeros.image.follow(result, pipeline)
+            self.zeros.follow(measured, result, pipeline)
         if products & FLOW_PRODUCTS:
             self.shear.add_frame(result)
         return result
