@@ -66,6 +66,7 @@ from .rubber_forward import (
     checked_friction as checked_friction,
 )
 from .sparse_factor import (
+    BlockFactoriser as BlockFactoriser,
     Factor as Factor,
     Factoriser as Factoriser,
     NodeBlocks as NodeBlocks,

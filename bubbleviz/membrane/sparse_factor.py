@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, lu_factor, lu_solve
 from scipy.sparse.linalg import SuperLU, splu
 
 # Sparse factorisation of symmetric matrices.
@@ -71,18 +72,12 @@ class Factoriser:
         return Factor(symmetric_lu(matrix, "NATURAL"), self._rows)
 
 
-class Factor:
-    """A factorised matrix K, whose unknowns are the `rows` of vectors in their order."""
+class LinearSolver:
+    """A factorised matrix K."""
 
-    def __init__(self, lu: SuperLU, rows: np.ndarray) -> None:
-        self._lu, self._rows = lu, rows
-
-    def solve(self, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
-        """K⁻¹ b, or K⁻ᵀ b, for one (3f,) or several (3f, k) right sides."""
-        out = np.zeros_like(right)
-        solve = partial(self._lu.solve, trans="T") if transposed else self._lu.solve
-        out[self._rows] = solve(right.take(self._rows, axis=0))
-        return out
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """K⁻¹ b for one (3f,) or several (3f, k) right sides."""
+        raise NotImplementedError
 
     def solve_with(
         self, right: np.ndarray, vector: np.ndarray, weight: float, across: np.ndarray | None = None
@@ -97,9 +92,87 @@ class Factor:
         share = weight * (across @ plain) / (1.0 + weight * (across @ by_vector))
         return (plain - np.outer(by_vector, share)).reshape(right.shape)
 
+
+class Factor(LinearSolver):
+    """A sparse factorised matrix, whose unknowns are the `rows` of vectors in their order."""
+
+    def __init__(self, lu: SuperLU, rows: np.ndarray) -> None:
+        self._lu, self._rows = lu, rows
+
+    def solve(self, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
+        """K⁻¹ b, or K⁻ᵀ b, for one (3f,) or several (3f, k) right sides."""
+        out = np.zeros_like(right)
+        solve = partial(self._lu.solve, trans="T") if transposed else self._lu.solve
+        out[self._rows] = solve(right.take(self._rows, axis=0))
+        return out
+
     def negative_directions(self) -> int:
         """Number of negative eigenvalues of a symmetric K, by Sylvester's law of inertia."""
         return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
+
+
+class BlockFactoriser:
+    """Factorises symmetric matrices of which only the values in a block of rows change.
+
+    The other rows are eliminated once; a factorisation then is a dense one of the block.
+
+    Parameters
+    ----------
+    matrix : (n, n) sparse array
+        In CSC with sorted indices, with 3×3 blocks. Outside the block its values are kept.
+    block : (n,) bool array
+        Rows of the block.
+    """
+
+    def __init__(self, matrix: sparse.csc_array, block: np.ndarray) -> None:
+        self.block, self.rest = np.flatnonzero(block), np.flatnonzero(~block)
+        rest = matrix[self.rest]
+        coupling, interior = rest[:, self.block].tocsc(), rest[:, self.rest].tocsc()
+        self.edge = np.flatnonzero(np.diff(coupling.indptr))  # rows of the block beside the rest
+        self.coupling = coupling[:, self.edge].toarray()
+        self.back = self.coupling
+        if len(self.rest):
+            interior.sort_indices()
+            self.interior = Factoriser(interior).factor(interior.data)
+            self.back = self.interior.solve(self.coupling)
+        self._eliminated = self.coupling.T @ self.back
+        number = np.full(len(block), -1)
+        number[self.block] = np.arange(len(self.block))
+        row, column = number[matrix.indices], np.repeat(number, np.diff(matrix.indptr))
+        self._entries = np.flatnonzero((row >= 0) & (column >= 0))
+        self._places = column[self._entries] * len(self.block) + row[self._entries]
+
+    def factor(self, data: np.ndarray) -> BlockFactor:
+        """Factorise the matrix with these data (nnz,), of which those in the block are used."""
+        size = len(self.block)
+        flat = np.zeros(size * size)
+        flat[self._places] = data[self._entries]
+        dense = flat.reshape(size, size).T
+        dense[np.ix_(self.edge, self.edge)] -= self._eliminated
+        return BlockFactor(self, dense)
+
+
+class BlockFactor(LinearSolver):
+    """A matrix factorised by a `BlockFactoriser`."""
+
+    def __init__(self, own: BlockFactoriser, dense: np.ndarray) -> None:
+        self._own = own
+        solve: Any = cho_solve
+        try:
+            factor = cho_factor(dense, check_finite=False)
+        except LinAlgError:  # not positive definite
+            solve, factor = lu_solve, lu_factor(dense, check_finite=False)
+        self._solve = partial(solve, factor, check_finite=False)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """K⁻¹ b for one (3f,) or several (3f, k) right sides."""
+        own, out, load = self._own, np.zeros_like(right), right[self._own.block]
+        if len(own.rest):
+            out[own.rest] = alone = own.interior.solve(right[own.rest])
+            load[own.edge] -= own.coupling.T @ alone
+        out[own.block] = found = self._solve(load)
+        out[own.rest] -= own.back @ found[own.edge]
+        return out
 
 
 class FrictionConstraint(NamedTuple):

@@ -5,6 +5,9 @@ With K and g = ∂V/∂x of the rest at the reference surface, its border b and 
     S = K_bb − K_bf K_ff⁻¹ K_fb,   ĝ = g_b − K_bf K_ff⁻¹ g_f,   c = g_fᵀ K_ff⁻¹ g_f
 
 are its stiffness, and its volume change by motion of the border and by gas pressure.
+
+Newton's method updates the tangent around the loads only, where it changes from step to step. That
+of the other nodes is kept until the loads move there; their residual is exact.
 """
 
 from __future__ import annotations
@@ -17,13 +20,17 @@ from scipy import sparse
 from bubbleviz.membrane.gas import Gas, HeldPressure
 from bubbleviz.membrane.meshing import part_of, refinement
 from bubbleviz.membrane.rubber import RubberMembrane
-from bubbleviz.membrane.sparse_factor import Factor, Factoriser
+from bubbleviz.membrane.sparse_factor import BlockFactoriser, Factoriser, LinearSolver
+
+_KEPT = 0.25
+"""Motion of a node, in edges of the mesh, up to which its tangent is kept: triangles turn by some
+10°, so that steps still converge, and derivatives of the object's motions are off by 0.5 %."""
 
 
 class Tangent(NamedTuple):
     """Factorised tangent at a shape."""
 
-    factor: Factor
+    factor: LinearSolver
     gas: np.ndarray  # (3f,), volume change by motion of the moving nodes, m²
     stiffness: float  # −dp/dV of the gas, Pa/m³
     moving: np.ndarray  # (f,) int
@@ -106,7 +113,9 @@ class Submodel:
         columns, rows = np.divmod(keys, size)
         starts = np.searchsorted(columns, np.arange(size + 1))
         pattern = sparse.csc_array((np.ones(len(keys)), rows, starts), shape=(size, size))
-        self._factoriser, self._entries = Factoriser(pattern), len(keys)
+        self._pattern = pattern
+        self._near = np.zeros(len(self.mesh.nodes), bool)
+        self._kept_at = np.full_like(self.mesh.nodes, np.inf)
 
     def covers(self, center: np.ndarray, reach_m: float) -> bool:
         """Whether the part contains all within a distance of a point."""
@@ -119,6 +128,7 @@ class Submodel:
         forces: np.ndarray,
         # (6, 3, 3, m), stiffness of what exerts them, as of `RubberMembrane.tangent`
         added: np.ndarray,
+        loaded: np.ndarray,  # (c, 3) int, corners of the triangles to which it is added
         gas: Gas | HeldPressure,
     ) -> tuple[Tangent, np.ndarray]:
         """Tangent at nodes x (k, 3), and the residual forces (k, 3)."""
@@ -130,12 +140,32 @@ class Submodel:
         rest = np.zeros(3 * len(self._moving))
         rest[self._border] = self._stiffness @ border - change * self._gradient
         residual[self._moving] -= rest.reshape(-1, 3)
-        data = np.zeros(self._entries)
+        data = np.zeros(self._pattern.nnz)
         data[self._inner_places] = inner.tangent(x, self._gauge_pa + change, added).data
         data[self._outer_places] += self._stiffness.T.ravel()
         gradient = inner.volume_gradient(x)[self._moving].ravel()
         gradient[self._border] += self._gradient
-        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), residual
+        factor = self._around(loaded, x, data).factor(data)
+        return Tangent(factor, gradient, weight, self._moving), residual
+
+    def _around(self, loaded: np.ndarray, x: np.ndarray, data: np.ndarray) -> BlockFactoriser:
+        """Factoriser of the block of the loaded triangles and those beside them.
+
+        A new one, with the tangent of the other nodes as it is now, where loads have left the block
+        or other nodes have moved far.
+        """
+        moved_m = np.abs(x - self._kept_at)[~self._near].max(initial=0.0)
+        if not (moved_m < _KEPT * self.mesh.edge_length and self._near[loaded].all()):
+            triangles, at = self.mesh.triangles, np.zeros(len(x), bool)
+            at[loaded] = True
+            self._near = np.zeros(len(x), bool)
+            self._near[triangles[at[triangles].any(axis=1)]] = True
+            self._kept_at = x
+            matrix = sparse.csc_array(
+                (data, self._pattern.indices, self._pattern.indptr), self._pattern.shape
+            )
+            self._factoriser = BlockFactoriser(matrix, np.repeat(self._near[self._moving], 3))
+        return self._factoriser
 
 
 def _rows(nodes: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster
 from bubbleviz.membrane import area_vectors
@@ -197,9 +198,11 @@ class ImageFit:
         vectors = area_vectors(press.nodes, mesh.triangles)
         facet = vectors[hits.triangle]
         facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
-        slopes = np.concatenate([press.slopes, press.rounding[None]])
-        moved = np.einsum("ba,qbai->qbi", hits.barycentric, slopes[:, corners])
-        J = np.einsum("qbi,bi->bq", moved, facet)
+        by_node = (hits.barycentric[:, :, None] * facet[:, None]).ravel()
+        columns = (3 * corners[:, :, None] + np.arange(3)).ravel()
+        starts = np.arange(0, len(columns) + 1, 9)
+        slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
+        J = sparse.csr_array((by_node, columns, starts), (len(rays), slopes.shape[1])) @ slopes.T
         return PredictedImage(
             T_B_O=press.T_B_O,
             center=press.center,

@@ -146,9 +146,13 @@ class ObjectContact:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the directions in which edges push, and the active set."""
+        """Reset the directions in which edges push, the active set, and known distances."""
         self._pushing = np.zeros_like(self._points)
         self._active = np.zeros(len(self._points), bool)
+        # lower bound of the distance of each point from the membrane, 0 where they touch; membrane
+        # and points of the last call. Points further away than both have moved are not looked at.
+        self._clear_m = np.zeros(len(self._points))
+        self._seen: tuple[np.ndarray, np.ndarray] | None = None
 
     def set_active(self, touching: Touching, motion: np.ndarray) -> None:
         """Set as active the points that push after a motion (n, 3) of the nodes, to first order.
@@ -169,7 +173,13 @@ class ObjectContact:
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
         points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.max_depth_m
         low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
-        close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
+        if self._seen is not None:
+            nodes_before, before = self._seen
+            self._clear_m -= np.linalg.norm(points - before, axis=1)
+            self._clear_m -= np.linalg.norm(x - nodes_before, axis=1).max()
+        self._seen = x, points
+        close = np.all((points > low) & (points < high), axis=1)
+        close = np.flatnonzero(close & (self._active | (self._clear_m <= 0.0)))
         if not len(close):
             close = np.zeros(1, int)  # any one, as a placeholder: it is too far away to touch
         found = TriangleScene(x, triangles).closest(points[close])
@@ -182,8 +192,10 @@ class ObjectContact:
         facing = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.max_cosine
         way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
         depth = -np.einsum("ij,ij->i", way, pushing)
-        near = np.linalg.norm(way, axis=1) < self._options.max_depth_m
-        inside = np.flatnonzero(near & ((facing & (depth > 0.0)) | self._active[close]))
+        length = np.linalg.norm(way, axis=1)
+        touched = (facing & (depth > 0.0)) | self._active[close]
+        self._clear_m[close] = np.where(touched, 0.0, length)
+        inside = np.flatnonzero(touched & (length < self._options.max_depth_m))
         kept, corners = close[inside], corners[inside]
         return Touching(
             which=kept,
@@ -338,7 +350,8 @@ class PressedMembrane:
             touching = self._object.touching(x, triangles, T_B_O)
             push = touching.on_nodes(touching.force_n[:, None] * touching.normals, len(x))
             try:
-                tangent, missed = part.linearised(x, push, touching.blocks(len(triangles)), gas)
+                blocks = touching.blocks(len(triangles))
+                tangent, missed = part.linearised(x, push, blocks, touching.corners, gas)
             except RuntimeError:  # singular
                 return None
             step = tangent.moved(missed[None])[0]
@@ -365,6 +378,8 @@ def _pressed(
     motions += [np.cross(axis, arms) for axis in unit]
     motions.append(touching.rounding)
     pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
+    forces = touching.force_n[:, None] * touching.normals  # which turn with the object
+    pulls[3:6] += [touching.on_nodes(np.cross(axis, forces), n) for axis in unit]
     loaded = np.zeros(n, bool)
     loaded[touching.corners[touching.weights > 0.0]] = True
     on_face = loaded[triangles].all(axis=1)

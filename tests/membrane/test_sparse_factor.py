@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from bubbleviz.membrane import Factoriser, NodeBlocks, cotangent_laplacian, mesh_cap, spherical_cap
+from bubbleviz.membrane import (
+    BlockFactoriser,
+    Factoriser,
+    NodeBlocks,
+    cotangent_laplacian,
+    mesh_cap,
+    spherical_cap,
+)
 
 SHIFT = 0.3
 
@@ -42,6 +49,21 @@ def test_solutions_equal_those_of_the_dense_matrix(matrix):
     skew.data = skew.data * rng.uniform(0.9, 1.1, len(skew.data))
     other = Factoriser(matrix).factor(skew.data)
     np.testing.assert_allclose(skew.toarray().T @ other.solve(one, transposed=True), one, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [0, 20, 60])
+@pytest.mark.parametrize("shift", [0.0, -60.0])
+def test_changed_blocks_are_solved_with_the_rest_as_it_was(matrix, size, shift):
+    rng = np.random.default_rng(3)
+    block = np.repeat(rng.permutation(matrix.shape[0] // 3) < size, 3)
+    changed = matrix.copy()
+    changed.data = matrix.data * rng.uniform(0.5, 1.5)
+    changed.setdiag(changed.diagonal() + shift)
+    K = np.where(np.outer(block, block), changed.toarray(), matrix.toarray())
+    assert (np.linalg.eigvalsh(K).min() < 0.0) == (size > 0 and shift < 0.0)
+    factor = BlockFactoriser(matrix, block).factor(changed.data)
+    for right in (rng.standard_normal(len(K)), rng.standard_normal((len(K), 4))):
+        np.testing.assert_allclose(K @ factor.solve(right), right, atol=1e-8)
 
 
 @pytest.mark.parametrize("negative", [0, 1, 5])

@@ -81,7 +81,8 @@ def test_jacobian_equals_finite_differences_of_the_membrane(pipeline, rubber, co
     normals = press.part.mesh.normals
     for motion, size, alike, off in (
         ([0, 0, 1, 0, 0, 0], 5e-4, 0.98, 0.05),
-        ([0, 0, 0, 1, 0, 0], 0.01, 0.95, 0.1),
+        ([0, 0, 0, 1, 0, 0], 0.01, 0.99, 0.1),
+        ([0, 0, 0, 0, 1, 0], 0.003, 0.99, 0.1),
         ([1, 0, 0, 0, 0, 0], 1e-3, 0.95, 0.3),  # the flat face slides in its plane
     ):
         step = size * np.array(motion, float)
