@@ -378,8 +378,6 @@ def _pressed(
     motions += [np.cross(axis, arms) for axis in unit]
     motions.append(touching.rounding)
     pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
-    forces = touching.force_n[:, None] * touching.normals  # which turn with the object
-    pulls[3:6] += [touching.on_nodes(np.cross(axis, forces), n) for axis in unit]
     loaded = np.zeros(n, bool)
     loaded[touching.corners[touching.weights > 0.0]] = True
     on_face = loaded[triangles].all(axis=1)
