@@ -14,11 +14,14 @@ from PySide6.QtGui import QImage
 from window_driver import CTRL, Driver, clipped_labels, pressure_coloured, view_texts
 
 from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import default_press
+from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.export import export_dialog, exporting as video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import TOPIC
 from bubbleviz_ui.view3d.tools import picture_of
+from tests.shear.texture_bag import HELD, write_texture_press
 
 
 class Bench(Driver):
@@ -101,6 +104,36 @@ def test_export_table_of_the_chosen_range_with_poses(bench, tmp_path):
     row = window.pose.session.rows[8]
     assert rows[8]["pose_status"] == row["status"] and not rows[0]["pose_status"]
     assert np.isclose(float(rows[8]["pose_x_m"]), row["x_m"], equal_nan=True)
+
+
+def test_table_has_the_forces_of_the_window_also_with_colour(drive, monkeypatch, tmp_path):
+    pytest.importorskip("cv2")
+    press, sensor = write_texture_press(tmp_path, {})
+    source = Source.of_recording(press)
+    bench = Bench(drive(source, sensor=load_sensor(sensor), frame=HELD), monkeypatch)
+    bench.state.set_range((HELD, HELD + 1))
+
+    def exported(name):
+        """Message, and force of the first frame."""
+        message = bench.export("Table", tmp_path / name)
+        with (tmp_path / name).open() as file:
+            row, _ = csv.DictReader(file)
+        return message, float(row["force_magnitude_n"])
+
+    def shown():
+        return np.linalg.norm(bench.result.estimate.force_n)
+
+    by_depth = shown()
+    message, force = exported("depth.csv")
+    assert force == pytest.approx(by_depth, rel=2e-3) and "forces by" not in message
+    bench.show("shear")
+    bench.wait(lambda: bench.result.traction is not None)
+    bench.wait_until_shown()
+    changed = abs(shown() - by_depth)
+    assert changed > 5e-3 * by_depth
+    message, force = exported("colour.csv")
+    assert abs(force - shown()) < changed / 3 and "by depth and colour" in message
+    bench.release()
 
 
 SERIES = {

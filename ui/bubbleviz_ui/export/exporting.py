@@ -13,9 +13,9 @@ import numpy as np
 from PySide6.QtCore import QObject, Qt, QTimer, Signal
 
 from bubbleviz.output import open_mp4, pose_columns
-from bubbleviz.pipeline import FrameOptions
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.view3d.text import text_at
 from bubbleviz_ui.view3d.tools import picture_of
 
@@ -139,7 +139,7 @@ class VideoExport(QObject):
             for done in range(count):
                 writer.add(self._picture(progress, done / count))
                 self._picture_written.emit()
-        return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:g} per second"
+        return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:.3g} per second"
 
     def _picture(self, progress: Progress, done: float) -> np.ndarray:
         while True:
@@ -271,7 +271,7 @@ class Exporting(QObject):
             from bubbleviz_ui.export.file_export import export_to_files
 
             poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
-            how = (FrameOptions(*settings.patch_rule), settings.options, poses)
+            how = (Demand.of(settings), settings.options, poses)
             job = partial(export_to_files, source.open, sensor, frames, path, kind.what, *how)
         function = partial(job, self._worker.progress)
         self._worker.submit(function, partial(self._on_done, path), self._on_refused)

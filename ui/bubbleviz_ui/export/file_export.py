@@ -10,8 +10,10 @@ from bubbleviz.api.exporting import export_frames
 from bubbleviz.api.frames import Frames
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.output import ExportPlan
-from bubbleviz.pipeline import FrameOptions, Pipeline
+from bubbleviz.pipeline import FLOW_PRODUCTS, FrameOptions, Pipeline
 from bubbleviz.wording import count_of
+from bubbleviz_ui.model.demand import Demand
+from bubbleviz_ui.shear.shear_reference import ShearReference
 
 if TYPE_CHECKING:
     from bubbleviz.progress import Progress
@@ -26,7 +28,7 @@ def export_to_files(
     out: Path,
     # For a folder: key of `bubbleviz.output.export_plan.KINDS`; empty: from the suffix of `out`
     what: str,
-    options: FrameOptions,
+    demand: Demand,  # Of the window: rule of the patch, and whether forces use colour images
     estimator: EstimatorOptions,
     poses: dict[int, dict[str, Any]],  # Pose columns by frame, see `bubbleviz.output.pose_writer`
     progress: Progress,
@@ -43,8 +45,12 @@ def export_to_files(
     source = open_source(sensor)
     try:
         pipeline = Pipeline.of(sensor, source[frames[0]].intrinsics, estimator)
-        done = export_frames(Frames(source, frames), pipeline, options, plan, progress)
+        besides = ShearReference().products(source, pipeline, demand) & FLOW_PRODUCTS
+        options = FrameOptions(*demand.patch_rule)
+        done = export_frames(Frames(source, frames), pipeline, options, plan, progress, besides)
+        by_colour = pipeline.optical_flow is not None
     finally:
         source.close()
+    forces = "" if demand.flow is None else f", forces by depth{' and colour' * by_colour}"
     files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"
-    return f"Exported {count_of(done.frames, 'frame')} to {done.out}{files}"
+    return f"Exported {count_of(done.frames, 'frame')} to {done.out}{files}{forces}"
