@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from PySide6.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QTimer, QUrl
 from PySide6.QtGui import QDropEvent, QImage, QMouseEvent
+from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
     QApplication,
     QCheckBox,
@@ -320,6 +321,14 @@ def hover(widget, place, held=Qt.MouseButton.NoButton):
     at, none = QPointF(place), Qt.MouseButton.NoButton
     event = QMouseEvent(QEvent.Type.MouseMove, at, widget.mapToGlobal(at), none, held, PLAIN)
     QApplication.sendEvent(widget, event)
+
+
+def turn_wheel(widget, notches, place=None):
+    """Turn the mouse wheel over a position in a widget, its middle by default."""
+    window = widget.window()
+    place = QPointF(widget.mapTo(window, place or widget.rect().center()))
+    QTest.wheelEvent(window.windowHandle(), place, QPoint(0, notches * 120))
+    QApplication.processEvents()
 
 
 def no_pending_timers(thing):

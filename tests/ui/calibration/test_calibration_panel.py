@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from calibration_bench import Bench
 from fakes import DentSource, record, small_sensor
+from pyqtgraph import ViewBox
 from PySide6.QtCore import QPoint, Qt
+from PySide6.QtWidgets import QGraphicsView
 from resting import REST, TENSION, RestingSource
 from scipy.spatial.transform import Rotation
-from window_driver import PLAIN
+from window_driver import LEFT, PLAIN, turn_wheel
 
 from bubbleviz.calibration import Step
 from bubbleviz.sensor import load_sensor
@@ -165,12 +167,12 @@ def test_each_step_shows_name_state_task_and_errors(bench):
     tips = lambda: [panel.steps.button(k).toolTip() for k in range(7)]  # noqa: E731
     assert all(tip.endswith(": to do") for tip in tips())
     assert panel.steps.button(1).text() == "2\nPixels"
-    assert "nothing touches" in panel.task.text() and panel.task.isVisible()
+    assert "nothing touches" in panel.page.about.text() and panel.page.about.isVisible()
     bench.click(panel.next)
     bench.click(panel.next)
     assert [tip.endswith(": done") for tip in tips()] == [True, True] + 5 * [False]
     assert panel.steps.button(1).text() == "2 ✓\nPixels"
-    assert "which pixels" in panel.task.text()
+    assert "which pixels" in panel.page.about.text()
     before = bench.answer
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
@@ -270,6 +272,46 @@ def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, mo
     assert panel.calibration.settings.deviations == pytest.approx(1.5)
     bench.undo()
     assert panel.calibration.settings == settings
+
+
+def make_small(bench):
+    """The size of the window on 1024×700 pixels at 150 %."""
+    for size in ((800, 500), (675, 427)):
+        bench.window.resize(*size)
+        bench.wait_until_shown()
+    assert bench.size == size
+
+
+def test_wheel_over_a_picture_scrolls_its_page_and_zooms_after_a_click(bench):
+    bench.click(bench.panel.next)
+    bench.click(bench.panel.next)
+    make_small(bench)
+    picture = bench.panel.page.view.findChild(QGraphicsView)
+    canvas = picture.viewport()
+    bar = bench.panel.stack.currentWidget().verticalScrollBar()
+    bench.wait(lambda: bar.maximum() > 0)
+    boxes = [item for item in picture.scene().items() if isinstance(item, ViewBox)]
+    box = max(boxes, key=ViewBox.height)  # the other one is the colour bar
+    before = box.viewRange()
+    bench.wait(lambda: canvas.visibleRegion().boundingRect().height() > 20)
+    place = canvas.visibleRegion().boundingRect().center()
+    turn_wheel(canvas, -1, place)
+    assert bar.value() > 0 and box.viewRange() == before
+    bar.setValue(0)
+    bench.activate()
+    bench.bot.mouseClick(canvas, LEFT, pos=place)
+    turn_wheel(canvas, 1, place)
+    assert bar.value() == 0 and box.viewRange() != before
+
+
+def test_a_low_window_shows_a_part_of_each_page(bench):
+    """1024×700 pixels at 150 %, with the verdict and the ranges below the timeline."""
+    bench.identify()
+    make_small(bench)
+    for number in range(len(bench.panel.pages)):
+        bench.step(number)
+        area = bench.panel.stack.currentWidget()
+        assert area.isVisible() and area.viewport().height() > 90, number
 
 
 def test_panel_takes_the_free_height_and_level_controls_are_visible(drive):

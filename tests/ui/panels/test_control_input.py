@@ -1,15 +1,7 @@
 """The wheel scrolls panels; it changes a setting only where the operator put the focus."""
 
-from PySide6.QtCore import QPoint, QPointF
-from PySide6.QtTest import QTest
-from PySide6.QtWidgets import QAbstractSpinBox, QApplication, QComboBox, QScrollArea, QSlider
-
-
-def turn_wheel(widget, notches):
-    window = widget.window()
-    place = QPointF(widget.mapTo(window, widget.rect().center()))
-    QTest.wheelEvent(window.windowHandle(), place, QPoint(0, notches * 120))
-    QApplication.processEvents()
+from PySide6.QtWidgets import QAbstractSpinBox, QComboBox, QScrollArea, QSlider
+from window_driver import turn_wheel
 
 
 def value(widget):

@@ -12,6 +12,7 @@ from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWi
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.registry import Colouring, ImageKind
 from bubbleviz_ui.model.units import DASH, Unit, Units
+from bubbleviz_ui.panels.binding import ControlInput
 from bubbleviz_ui.panels.images_panel import ImageCell
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell.dock import fill
@@ -32,6 +33,10 @@ class Page(QWidget):
         self.column = QVBoxLayout(self)
         self.column.setContentsMargins(0, 0, 0, 0)
         self.column.setSpacing(6)
+        heading, self.about = QLabel(self.title), QLabel(self.task, wordWrap=True)
+        heading.setObjectName("value")
+        self.about.setObjectName("dim")
+        fill(self.column, heading, self.about)
 
     def enter(self) -> None:
         """Compute the step when the user proceeds to this page."""
@@ -84,7 +89,7 @@ HEIGHT, BAR = 290, 10
 
 
 class ImageView(QWidget):
-    """Shows one image; the mouse wheel zooms, dragging pans.
+    """Shows one image; after a click the mouse wheel zooms, dragging pans.
 
     Parameters
     ----------
@@ -152,7 +157,8 @@ class ImageView(QWidget):
         self._bar.setImageItem(self._cell.item)
         self._host.arrange([self._cell.frame, self._bar])
         self._host.canvas.setFixedHeight(HEIGHT)
-        self._host.canvas.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._host.canvas.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        self._host.canvas.viewport().installEventFilter(ControlInput(self))
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         return [self]
 

@@ -56,7 +56,6 @@ class CalibrationPanel(QWidget):
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
         self._failed_work: Work | None = None
         self._unsaved_sensor: Sensor | None = None  # identified sensor in use before it is saved
-        self.title, self.task = QLabel(), QLabel(wordWrap=True)
         self.verdict = QLabel(wordWrap=True)
         self.back, self.next = QPushButton("Back"), QPushButton()
         self.all = QPushButton("Identify")
@@ -87,8 +86,6 @@ class CalibrationPanel(QWidget):
     def go_to(self, number: int) -> None:
         self.stack.setCurrentIndex(number)
         self.steps.button(number).setChecked(True)
-        self.title.setText(f"{number + 1} · {self.page.title}")
-        self.task.setText(self.page.task)
         self._show()
 
     def save(self, path: Path) -> None:
@@ -307,14 +304,12 @@ class CalibrationPanel(QWidget):
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(_scrolling(page))
-        self.title.setObjectName("value")
-        self.task.setObjectName("dim")
         self.next.setObjectName("main")
         self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
         last = self.report.use_sensor, (self.report.save_as, 1)
         buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1), *last)
-        parts = (self.steps.row, self.title, self.task, (self.stack, 1), self.verdict)
+        parts = (self.steps.row, (self.stack, 1), self.verdict)
         fill(column, *parts, working, buttons)
         self.all.setToolTip("Compute all steps up to γ0")
 

@@ -245,17 +245,18 @@ _SWITCHES = (QAbstractButton, QAction)
 
 
 BUTTON_KEYS = frozenset({Qt.Key.Key_Space})
-WHEEL_CONTROLS = (QAbstractSpinBox, QSlider, QComboBox)
-"""Controls whose value the wheel changes."""
 SLIDER_KEYS = frozenset({Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Home, Qt.Key.Key_End})
 
 
 class ControlInput(QObject):
-    """Event filter: a focused control gets its keys before shortcuts; others ignore the wheel."""
+    """Event filter: a focused control gets its keys before shortcuts; others ignore the wheel.
+
+    A picture is a control of this kind, too.
+    """
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Claim the keys of the focused control, and reject the wheel without focus."""
-        if event.type() == QEvent.Type.Wheel and isinstance(watched, WHEEL_CONTROLS):
+        if event.type() == QEvent.Type.Wheel and isinstance(watched, QWidget):
             event.setAccepted(watched.hasFocus())
             return not watched.hasFocus()
         if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
