@@ -89,6 +89,7 @@ UNTRUSTED_STATUS = {
     "implausible": "implausible",
 }
 """Title of each status whose numbers must not be used."""
+STATUS = {"ok": "ok", "no_contact": "no contact", **UNTRUSTED_STATUS}
 
 
 def untrusted_text(result: Result) -> str:

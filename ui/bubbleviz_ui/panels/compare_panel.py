@@ -30,7 +30,7 @@ from bubbleviz_ui.engine.source import RECORDINGS, Source
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, ComparedSetting
-from bubbleviz_ui.model.source_facts import force_text, friction_text
+from bubbleviz_ui.model.source_facts import STATUS, force_text, friction_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.shell import theme
@@ -42,12 +42,13 @@ if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import AlignedRun
 
 NOT_MEASURED = None, None
+SOLVING = "solving …"
 NEEDS_TRUTH = "Force error and patch IoU need the ground truth of a simulation."
 DEPTH_ALONE = "This panel solves by depth alone; the frame shown uses its colour image, too."
 ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "frame": ("Frame", lambda m, u: f"{m.result.frame.index}"),
     "solver": ("Model", lambda m, u: m.solver),
-    "status": ("Status", lambda m, u: m.numbers.status),
+    "status": ("Status", lambda m, u: STATUS[m.numbers.status]),
     "force": ("Force", lambda m, u: force_text(m.result, u)),
     "friction": ("Friction", lambda m, u: friction_text(m.result, u)),
     "area": ("Patch area", lambda m, u: u.area.text(m.numbers.area_m2)),
@@ -104,12 +105,12 @@ class SettingColumn:
         self._state.change(solver=COMPARED_NAMES[self._number], **rule)
 
     def show_measured(self, measured: ComparedResult | str | None, units: Units) -> None:
-        """Write the numbers; a text says why there are none."""
+        """Write the numbers; a text says why there are none, None that they are not known yet."""
         for name, (_, text) in ROWS.items():
             shown = text(measured, units) if isinstance(measured, ComparedResult) else DASH
             self.values[name].setText(shown)
-        if isinstance(measured, str):
-            self.values["status"].setText("impossible")
+        if not isinstance(measured, ComparedResult):
+            self.values["status"].setText(SOLVING if measured is None else "impossible")
         self.values["status"].setToolTip(measured if isinstance(measured, str) else "")
 
 
@@ -390,7 +391,7 @@ class ComparePanel(QWidget):
 
     def _on_failed(self, failed: Failed) -> None:
         if failed.key == "compare":
-            self._take(NOT_MEASURED)
+            self._take((failed.message, failed.message))
 
     def _take(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         if measured is not self._measured:
