@@ -524,7 +524,10 @@ class MainWindow(QMainWindow):
 
     def _on_connection(self) -> None:
         self._show_title()
-        self.scene.set_outdated(self.state.badge in ("stale", "reconnecting"))
+        outdated = self.state.badge in ("stale", "reconnecting")
+        self.scene.set_outdated(outdated)
+        for label in (*self.status.numbers, *self.kappa.numbers):
+            label.setDisabled(outdated)
 
     def _show_title(self) -> None:
         facts, badge = self.state.facts, self.state.badge

@@ -55,6 +55,12 @@ def readout_opacity(bench):
     return text_actors(bench)[0].GetTextProperty().GetOpacity()
 
 
+def numbers(bench):
+    """Labels outside the view with the force of the frame shown."""
+    window = bench.window
+    return window.status.labels["force"], window.kappa.force, window.kappa.area
+
+
 def test_killed_robot_is_detected_and_reconnects(open_bench):
     bench = open_bench()
     port, name = free_port(), sensor_file(bench.folder)
@@ -70,12 +76,12 @@ def test_killed_robot_is_detected_and_reconnects(open_bench):
     for turn in range(1, 1 + (FULL if "TEST_ALL" in os.environ else SHORT)):
         bench.wait(lambda: "live" not in bench.window.live.state.text())
         assert any(word in bench.window.live.state.text() for word in ("stale", "reconnecting"))
-        assert readout_opacity(bench) < 1.0
+        assert readout_opacity(bench) < 1.0 and not any(n.isEnabled() for n in numbers(bench))
         with robot(port, 10_000 * turn):
             bench.wait_for_frames(3)
             bench.wait(lambda: "live" in bench.window.live.state.text())
             assert len(bench.state.facts.gaps) >= turn
-            assert readout_opacity(bench) == 1.0
+            assert readout_opacity(bench) == 1.0 and all(n.isEnabled() for n in numbers(bench))
     path = bench.stop()
     assert set(arrived) <= {message.log_time for message in messages_by_type(path)[IMAGE]}
     assert STALE_AFTER_S + UPDATE_MS / 1000.0 < 1.0
@@ -102,6 +108,7 @@ def test_invalid_messages_are_counted_and_shown(open_bench):
         bench.wait(lambda: stream.counters.undecodable > 2)
         bench.window.live.update_status()
         text = bench.window.live.counts.toolTip()
+        assert text.index("of wrong size") < text.index("gas zero")  # the end may be elided
         for words in ("undecodable", "of wrong size", "with bad stamps", "/cam/depth: "):
             assert words in text
         bench.wait_for_frames(5)

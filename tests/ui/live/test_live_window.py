@@ -106,6 +106,26 @@ def test_badge_of_each_kind_of_source(open_bench):
     assert bar.leave.isVisible() and bar.record.isVisible()
 
 
+def check_buttons(window, *bars):
+    """Check that all visible buttons of some bars are visible as a whole."""
+    for button in (each for bar in bars for each in bar.findChildren(QAbstractButton)):
+        if button.isVisible():
+            at = QRect(button.mapTo(window, QPoint()), button.size())
+            assert button.width() >= button.minimumSizeHint().width()
+            assert window.rect().contains(at), button.text()
+            assert button.visibleRegion().boundingRect().size() == button.size(), button.text()
+
+
+def test_buttons_of_the_live_bar_fit_a_narrow_view(open_bench):
+    """1024×700 pixels at 150 %."""
+    live = connected_bench(open_bench)
+    for size in ((800, 500), (675, 427)):
+        live.window.resize(*size)
+        live.wait_for_frames(1)
+    assert live.size == size and live.window.live.width() < 400
+    check_buttons(live.window, live.window.live)
+
+
 def test_window_with_live_bar_fits_a_small_screen(open_bench):
     """At 1024×700 minus the frame, with all panels, a note and all bars open."""
     live = connected_bench(open_bench)
@@ -127,12 +147,7 @@ def test_window_with_live_bar_fits_a_small_screen(open_bench):
     live.wait_for_frames(1)
     assert (window.width(), window.height()) == size
     bars = (window.message, window.busy, window.hint, window.live, window.playback)
-    for button in (each for bar in bars for each in bar.findChildren(QAbstractButton)):
-        if button.isVisible():
-            at = QRect(button.mapTo(window, QPoint()), button.size())
-            assert button.width() >= button.minimumSizeHint().width()
-            assert window.rect().contains(at), button.text()
-            assert button.visibleRegion().boundingRect().size() == button.size(), button.text()
+    check_buttons(window, *bars)
     assert window.status.geometry().bottom() < window.height()
 
 

@@ -40,7 +40,10 @@ from bubbleviz_ui.view3d.render_view import View
 
 
 class RecordControls(QWidget):
-    """Button, pre-roll, folder; while recording, elapsed time, size, messages and a note."""
+    """Pre-roll, folder; while recording, elapsed time, size, messages and a note.
+
+    Its `button` is placed by itself, as both do not fit into one row of a narrow bar.
+    """
 
     def __init__(self, live: LiveController) -> None:
         super().__init__()
@@ -69,7 +72,7 @@ class RecordControls(QWidget):
         self._stack.addWidget(self._during)
         self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.button.setMinimumWidth(self.button.sizeHint().width())
-        fill(QHBoxLayout(self), (self._stack, 1), self.button, margins=none)
+        fill(QHBoxLayout(self), self._stack, margins=none)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(live.toggle_recording)
         self.folder.clicked.connect(self.choose_folder)
@@ -191,7 +194,7 @@ class LiveBar(QFrame):
         run, waits = self._live.run, self._live.connection is not None
         left = self._live.state.badge == "disconnected"
         self.setVisible(run is not None or waits or left or bool(self._pair.sensors))
-        for widget in (self.record, self.zero, self.publish, self.counts):
+        for widget in (self.record, self.record.button, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
         self.leave.setText("Disconnect" if run is not None else "Cancel")
@@ -215,7 +218,9 @@ class LiveBar(QFrame):
         badge = live.state.badge if drawn else "connecting"
         self._show_badge(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
-        counts = "  ·  ".join([self._zero_text(), *counter_texts(counters), *_problem(counters)])
+        # faults first: a narrow bar elides the rest
+        texts = [*fault_texts(counters), self._zero_text(), *counter_texts(counters)]
+        counts = "  ·  ".join(texts)
         self.counts.setText(counts)
         self.counts.setToolTip(counts)
 
@@ -230,8 +235,9 @@ class LiveBar(QFrame):
     def _lay_out(self) -> None:
         row, self._sensor_row = QWidget(), QWidget()
         self._row = fill(QHBoxLayout(self._sensor_row), margins=(0, 0, 0, 0), spacing=6)
-        controls = (self._sensor_row, self.record, self.zero, self.publish, self.leave)
-        BarLayout(row, self.state, *controls, margins=(0, 0, 0, 0))
+        record = self.record, self.record.button
+        buttons = self.zero, self.publish, self.leave
+        BarLayout(row, self.state, self._sensor_row, *record, *buttons, margins=(0, 0, 0, 0))
         fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
@@ -304,21 +310,19 @@ class LiveBar(QFrame):
 
 
 def counter_texts(counters: Counters) -> list[str]:
-    """Texts of the counters: received messages and images, and faults."""
-    words = [
+    """Texts of what was received."""
+    return [
         count_of(counters.received, "message"),
         count_of(counters.frames, "image"),
         f"{count_of(counters.skipped, 'image')} skipped",
     ]
-    for name, word in FAULT_COUNTERS.items():
-        count = getattr(counters, name)
-        if count:
-            words.append(f"{count} {word}")
-    return words
 
 
-def _problem(counters: Counters) -> list[str]:
-    return [counters.problem] if counters.problem else []
+def fault_texts(counters: Counters) -> list[str]:
+    """The last problem, and the counters of faults that are not zero."""
+    counts = {word: getattr(counters, name) for name, word in FAULT_COUNTERS.items()}
+    problem = [counters.problem] if counters.problem else []
+    return problem + [f"{count} {word}" for word, count in counts.items() if count]
 
 
 # Latency from the time stamp of a live frame to its display.

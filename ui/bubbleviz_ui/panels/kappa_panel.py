@@ -63,7 +63,8 @@ class KappaPanel(QWidget):
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
         self.solver = control(state, "solver")
-        self.threshold, self.area, self.by_object, self.force = (_value() for _ in range(4))
+        self.numbers = tuple(_value() for _ in range(4))
+        self.threshold, self.area, self.by_object, self.force = self.numbers
         self.area.setToolTip(
             "Area on the membrane at rest; in brackets the areas inside the two thin lines, the "
             "smallest and the largest patch that noise allows"

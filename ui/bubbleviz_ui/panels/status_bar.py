@@ -104,6 +104,11 @@ class StatusBar(QStatusBar):
         self._available = set(TIPS) - {"latency"}
         self.fit_units()
 
+    @property
+    def numbers(self) -> tuple[QLabel, ...]:
+        """Labels with numbers of the frame shown."""
+        return tuple(self.labels[name] for name in ("frame", "force", "area", "gas", "residual"))
+
     def fit_units(self) -> None:
         """Make each label as wide as its longest text in the current units."""
         for name, text in widest_texts(self._units).items():
