@@ -266,4 +266,6 @@ class StepButtons(QButtonGroup):
             button.setText(f"{number + 1}{state.value}\n{name}")
             button.setToolTip(f"{title}: {state.words}")
             own = state in colour and not button.isChecked()
-            button.setStyleSheet(SMALL + (f" color: {colour[state]};" if own else ""))
+            style = SMALL + (f" color: {colour[state]};" if own else "")
+            if style != button.styleSheet():  # setting the same takes as long
+                button.setStyleSheet(style)
