@@ -5,10 +5,13 @@ import socket
 import struct
 import tempfile
 import textwrap
+from dataclasses import replace
 from pathlib import Path
+from threading import Event
 
 import pytest
 from fakes import small_sensor
+from PySide6.QtCore import QTimer
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
 from window_driver import as_pixels, pressure_coloured, run_python
@@ -16,7 +19,9 @@ from window_driver import as_pixels, pressure_coloured, run_python
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import run_window, screenshot
+from bubbleviz_ui.engine import source
 from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.shell.display import has_display
 from bubbleviz_ui.window_session import window_session
 
@@ -174,6 +179,30 @@ def test_benchmark_counts_renders():
     done = run(replay + "print(sorted(replay_rate.replay_fps(small_sensor(), None, 1.0).items()))")
     assert done.returncode == 0, done.stderr
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
+
+
+def test_window_is_there_while_the_simulation_is_prepared_and_can_be_closed(qapp, monkeypatch):
+    prepared, opening = Event(), source.SYNTHETIC.open
+    seen = list[str]()
+
+    def slowly(sensor):
+        assert prepared.wait(60.0)
+        return opening(sensor)
+
+    def close():
+        for window in QApplication.topLevelWidgets():
+            if window.isVisible() and isinstance(window, MainWindow) and window.busy.isVisible():
+                seen.append(window.busy.label.text())
+                window.close()
+                prepared.set()
+
+    monkeypatch.setattr(source, "SYNTHETIC", replace(source.SYNTHETIC, open=slowly))
+    timer = QTimer(interval=20)
+    timer.timeout.connect(close)
+    timer.start()
+    assert run_window(small_sensor()) == 0
+    timer.stop()
+    assert seen and not QApplication.topLevelWidgets()
 
 
 def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path):

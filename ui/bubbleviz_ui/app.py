@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from bubbleviz.files import refuse_existing
@@ -18,7 +18,7 @@ from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.shell.display import has_display, private_display
-from bubbleviz_ui.window_session import WindowSession, window_session
+from bubbleviz_ui.window_session import WindowClosedError, WindowSession, window_session
 
 OFFSCREEN_SECONDS = 4.0
 OFFSCREEN_PICTURES = 3
@@ -47,11 +47,14 @@ def run_window(
     """
     if has_display():
         keep_in = None if fresh else _user_file
-        with window_session(
-            sensor, recording, frame, scene, keep_in, live, saved, truth
-        ) as session:
+        where = sensor, recording, frame, scene, keep_in, live, saved, truth
+        with (
+            suppress(WindowClosedError),
+            window_session(*where, at_once=True) as session,
+        ):
             session.window.show()
             return session.run()
+        return 0
     with (
         private_display(1300, 860),  # initial window and its frame
         window_session(sensor, recording, frame, scene, None, live, saved, truth) as session,

@@ -39,6 +39,10 @@ SWITCH_S = 5e-4
 """Thread switch interval of Python while the solver runs; 5 ms by default."""
 
 
+class WindowClosedError(Exception):
+    """The window was closed while its first source was being opened."""
+
+
 class WindowSession:
     """The application, one window and its event loop; see `window_session`."""
 
@@ -59,6 +63,7 @@ class WindowSession:
         # at the same time can deadlock
         self.window = MainWindow(state, self.controller, quality)
         self._answers: list[Opened | Failed] = []
+        self._shown = False  # Before its source is open
 
     def start(
         self,
@@ -70,9 +75,11 @@ class WindowSession:
         live: SessionPreset | None = None,
         saved: tuple[Path, SavedSession] | None = None,
         truth: Path | None = None,
+        *,
+        at_once: bool = False,
     ) -> None:
         """Open the source given to `window_session`."""
-        state = self.state
+        state, self._shows_at_once = self.state, at_once
         self.controller.opened.connect(self._note)
         self.controller.failed.connect(self._note)
         known = any(each is not None for each in (recording, live, saved))
@@ -105,6 +112,8 @@ class WindowSession:
         from bubbleviz_ui.engine.worker import Failed
 
         self._answers.clear()
+        if recording is None:
+            self._show_at_once()
         self.controller.opening.open(
             Source.of_recording(recording, truth) if recording else SYNTHETIC,
             lambda: sensor,
@@ -162,14 +171,26 @@ class WindowSession:
         from bubbleviz_ui.engine.solver import Opened
 
         if opening:
+            self._show_at_once()
             self.wait_for(lambda: bool(self._answers), "opening")
         return opening and isinstance(self._answers[0], Opened)
 
+    def _show_at_once(self) -> None:
+        """Show the window before its source is open, if that was requested."""
+        self._shown = self._shows_at_once
+        if self._shown:
+            self.window.show()
+
     def wait_for(self, done: Callable[[], bool], what: str) -> None:
-        """Run the event loop until `done()`; KeyboardInterrupt after ^C."""
+        """Run the event loop until `done()`; KeyboardInterrupt after ^C.
+
+        Raises WindowClosedError: The window that is shown at once was closed.
+        """
         end = time.monotonic() + TIMEOUT_S
         while not done():
             self.raise_if_interrupted()
+            if self._shown and not self.window.isVisible():
+                raise WindowClosedError
             if time.monotonic() > end:
                 raise InputError(
                     f"{what} took more than {TIMEOUT_S:.0f} s and was stopped; close other "
@@ -247,22 +268,26 @@ def window_session(
     live: SessionPreset | None = None,
     saved: Path | None = None,
     truth: Path | None = None,
+    *,
+    at_once: bool = False,
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and deleted at the end.
 
     With `keep_in`, the user's last session is read from the file it returns, and this one is saved
     there; with `saved`, the session of that file is restored. `truth` is the TRUTH.npz of a
-    simulated recording, by default the file of its name next to it.
+    simulated recording, by default the file of its name next to it. With `at_once`, the window is
+    shown before its source is open, unless that may fail: a recording, a live source.
 
-    Raises InputError: The session cannot be read, or the recording cannot be opened, does not fit
-    the sensor, or has no such frame; KeyboardInterrupt: ^C before the event loop runs.
+    Raises WindowClosedError: It was closed then; InputError: The session cannot be read, or the
+    recording cannot be opened, does not fit the sensor, or has no such frame; KeyboardInterrupt: ^C
+    before the event loop runs.
     """
     given = None if saved is None else (saved, _read(saved))  # before there is a window
     session = WindowSession()
     try:
         session.raise_if_interrupted()
         file = None if keep_in is None else keep_in()
-        session.start(sensor, recording, frame, scene, file, live, given, truth)
+        session.start(sensor, recording, frame, scene, file, live, given, truth, at_once=at_once)
         yield session
     finally:
         session.close()
