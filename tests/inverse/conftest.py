@@ -1,15 +1,17 @@
-"""A small press simulated on another, finer mesh."""
+"""A small press simulated on another, finer mesh, and the rubber dome of another solver."""
 
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
+import bubbleviz as bv
 from bubbleviz.camera import DepthCamera, MembraneView, RangeObserver
 from bubbleviz.inverse import ConstantTension, Estimator, EstimatorOptions, PaperEstimator
 from bubbleviz.membrane import Contact, ForwardModel, Gas, MembraneMesh, build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
+from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
 
 SENSOR = load_sensor("pico_flexx_75mm")
 CAMERA = DepthCamera.of(SENSOR.camera)
@@ -65,3 +67,26 @@ def estimator(nodes=500, solver=None, **options):
 def first(solver, depth_m, gas_pressure_pa=None):
     """Estimate of a first frame."""
     return solver.estimate(depth_m, gas_pressure_pa)[0]
+
+
+DOME_CAMERA = camera_of(320)
+
+
+def dome_images(truth, shapes, gauge, noise_m=5e-5, seed=0):
+    return render(
+        "dome", DOME_CAMERA, shapes, truth["triangles"], gauge, noise_m=noise_m, seed=seed
+    )
+
+
+@pytest.fixture(scope="session")
+def identified(tmp_path_factory):
+    """Sensor file of the rubber dome, identified from its own levels and open chamber."""
+    truth, path = rubber_truth("ball_drag1"), tmp_path_factory.mktemp("identified") / "dome.toml"
+    levels = [
+        dome_images(truth, at_rest(shape, 10), gauge, seed=1)
+        for shape, gauge in zip(truth["level_m"], truth["level_pa"], strict=True)
+    ]
+    rest = dome_images(truth, at_rest(truth["rest_m"]), GAUGE_PA)
+    vented = dome_images(truth, at_rest(truth["vented_m"], 5), 0.0)
+    bv.identify(rest, dome_sensor(DOME_CAMERA), levels=levels, vented=vented).save(path)
+    return path

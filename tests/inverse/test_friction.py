@@ -14,16 +14,16 @@ from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.simulation import DepthNoise
+from tests.inverse.conftest import dome_images
 from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import Motion
-from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
+from tests.rubber_renders import rubber_truth
 from tests.shear.drag import FLOW_PX, Eyes, press, sensor, stuck
 
 EVERY = 1 if "TEST_ALL" in os.environ else 4
 """Which frames of the presses of another solver are solved."""
 PRODUCTS = frozenset({"patch"})
 DOME = mesh_cap(spherical_cap(0.045, 0.02), 800)
-CAMERA = camera_of(320)
 
 
 def loads_of(pressure):
@@ -140,24 +140,6 @@ def test_long_drag_is_tracked_by_depth_alone():
         assert error < 0.05 * np.linalg.norm(truth.force_n)
 
 
-@pytest.fixture(scope="module")
-def identified(tmp_path_factory):
-    """Sensor file of the rubber dome, identified from its own levels and open chamber."""
-    truth, path = rubber_truth("ball_drag1"), tmp_path_factory.mktemp("identified") / "dome.toml"
-    levels = [
-        depth_images(truth, at_rest(shape, 10), gauge, seed=1)
-        for shape, gauge in zip(truth["level_m"], truth["level_pa"], strict=True)
-    ]
-    rest = depth_images(truth, at_rest(truth["rest_m"]), GAUGE_PA)
-    vented = depth_images(truth, at_rest(truth["vented_m"], 5), 0.0)
-    bv.identify(rest, dome_sensor(CAMERA), levels=levels, vented=vented).save(path)
-    return path
-
-
-def depth_images(truth, shapes, gauge, noise_m=5e-5, seed=0):
-    return render("dome", CAMERA, shapes, truth["triangles"], gauge, noise_m=noise_m, seed=seed)
-
-
 @pytest.mark.parametrize(
     ("name", "noise_m"),
     [
@@ -173,7 +155,7 @@ def test_friction_on_rubber_by_another_solver(name, noise_m, identified, tmp_pat
     frames = ("force_n", "gauge_pressure_pa", "nodes_m", "torque_nm", "object_position_m")
     truth |= {key: truth[key][::EVERY] for key in frames}
     true, gauges = truth["force_n"], truth["gauge_pressure_pa"]
-    presses = depth_images(truth, truth["nodes_m"], gauges, noise_m, 2)
+    presses = dome_images(truth, truth["nodes_m"], gauges, noise_m, 2)
     run = bv.estimate(list(presses), identified)
     assert all(each.status == "ok" for each in run)
     error, size = np.linalg.norm(run.force_n - true, axis=1), np.linalg.norm(true, axis=1)

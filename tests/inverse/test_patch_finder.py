@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
 
-from bubbleviz.camera import MembraneView
+from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.inverse import (
     EstimatorOptions,
     PatchFinder,
@@ -14,13 +15,23 @@ from bubbleviz.inverse import (
     mean_pressure,
     without_small,
 )
-from bubbleviz.membrane import build_mesh
+from bubbleviz.membrane import MembraneMesh, build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource
-from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first, press
+from tests.inverse.conftest import (
+    CAMERA,
+    DOME_CAMERA,
+    GAUGE,
+    SENSOR,
+    dome_images,
+    estimator,
+    first,
+    press,
+)
+from tests.rubber_renders import rubber_truth
 
 MESH, NODE_RATIO = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)
 
@@ -181,3 +192,43 @@ def test_a_flat_face_has_no_holes_where_the_camera_is_better_than_the_mesh(name)
     patch = pipeline.process(source[0], frozenset({"patch", "pixel_mask"})).patch
     assert overlap(patch.pixel_mask, truth.patch_mask) > 0.8
     assert patch.force_n == pytest.approx(truth.force_n, abs=0.1)
+
+
+def distance_m(center, points, radius_m):
+    return np.linalg.norm(points - center, axis=1) - radius_m
+
+
+def inside_m(points, touching, gap_m):
+    """Distance (n,) of points within the edge of a ball's contact, by their gaps to the ball.
+
+    Beside a contact the gap grows with the square of the distance from its edge. Nodes tell the
+    edge only to half their distance: one touches as soon as a part of its cell does.
+    """
+    away = points - points[touching].mean(axis=0)
+    radius, angle = np.linalg.norm(away, axis=1), np.arctan2(away[:, 1], away[:, 0])
+    waves = [f(n * angle) for n in (1, 2) for f in (np.cos, np.sin)]
+    edge = np.stack([np.ones_like(angle), *waves], axis=1)
+    near = (gap_m > 2e-5) & (gap_m < 8e-4) & (radius < 0.03)
+    root = np.sqrt(gap_m[near, None])
+    fitted = np.linalg.lstsq(np.hstack([edge[near], root, root**2]), radius[near], rcond=None)[0]
+    return np.where(radius < 0.03, edge @ fitted[: edge.shape[1]] - radius, -1.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("noise_m", "least"), [(5e-5, 0.9), (1.5e-4, 0.88), (5e-4, 0.85)])
+def test_the_patch_on_rubber_of_another_solver(identified, noise_m, least):
+    """A ball, pressed 3 to 13 mm into a dome; its place is fitted to the nodes that touch it."""
+    truth, radius_m = rubber_truth("dome_ball"), 0.01
+    frames = dome_images(truth, truth["nodes_m"], truth["gauge_pressure_pa"], noise_m, 2)
+    pipeline = Pipeline.of(load_sensor(identified), frames[0].intrinsics)
+    ious = []
+    for k, (x, touching) in enumerate(zip(truth["nodes_m"], truth["touching"], strict=True)):
+        on = x[touching]
+        start = on.mean(axis=0) + np.array([0.0, 0.0, radius_m])
+        center = least_squares(distance_m, start, args=(on, radius_m)).x
+        mesh = MembraneMesh(x, truth["triangles"], np.zeros(len(x), bool))
+        view = MembraneView(DepthCamera.of(DOME_CAMERA), mesh)
+        level = inside_m(truth["rest_m"], touching, distance_m(center, x, radius_m))
+        seen = pipeline.process(frames[k], frozenset({"patch", "pixel_mask"})).patch.pixel_mask
+        ious.append(overlap(seen, view.above(np.zeros(len(x)), level, 0.0)))
+    assert np.mean(ious) > least
