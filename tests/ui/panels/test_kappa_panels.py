@@ -87,13 +87,13 @@ def test_threshold_line_is_dragged_and_a_hidden_comparison_is_not_computed(drive
     driver.wait_until_solved_ahead()  # nothing of the frame before is left to solve
     own = driver.pipeline.counts["estimate"]
     driver.state.seek(2)
-    driver.wait(lambda: status.text() == "no_contact")
+    driver.wait(lambda: status.text() == "no contact")
     driver.wait_until_shown()
     assert driver.pipeline.counts["estimate"] == own + 2  # at once, and from rest
     driver.window.panels["kappa"].raise_()  # behind a tab is hidden, too
     driver.wait(lambda: status.text() == "–" and not bench.pipelines)
     dock.raise_()
-    driver.wait(lambda: status.text() == "no_contact")
+    driver.wait(lambda: status.text() == "no contact")
     dock.hide()
     assert status.text() == "–"
     driver.wait(lambda: not bench.pipelines)  # nor does it hold memory

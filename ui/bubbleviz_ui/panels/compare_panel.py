@@ -104,13 +104,15 @@ class SettingColumn:
         rule = {} if kappa is None else {"kappa": kappa}
         self._state.change(solver=COMPARED_NAMES[self._number], **rule)
 
-    def show_measured(self, measured: ComparedResult | str | None, units: Units) -> None:
-        """Write the numbers; a text says why there are none, None that they are not known yet."""
+    def show_measured(
+        self, measured: ComparedResult | str | None, units: Units, waiting: str
+    ) -> None:
+        """Write the numbers; a text says why there are none. With None the status is `waiting`."""
         for name, (_, text) in ROWS.items():
             shown = text(measured, units) if isinstance(measured, ComparedResult) else DASH
             self.values[name].setText(shown)
         if not isinstance(measured, ComparedResult):
-            self.values["status"].setText(SOLVING if measured is None else "impossible")
+            self.values["status"].setText(waiting if measured is None else "impossible")
         self.values["status"].setToolTip(measured if isinstance(measured, str) else "")
 
 
@@ -379,8 +381,13 @@ class ComparePanel(QWidget):
         self._take(NOT_MEASURED)
         self._ask()
 
+    @property
+    def _asks(self) -> bool:
+        """Whether the controller is asked: something is open, and the panel is seen."""
+        return self._seen and self._state.facts is not None
+
     def _ask(self) -> None:
-        if self._seen and self._state.facts is not None:
+        if self._asks:
             self._controller.compare(self._settings)
 
     def _on_compared(
@@ -404,4 +411,4 @@ class ComparePanel(QWidget):
         colour = result is not None and result.estimate is not None and result.estimate.flow
         self.hint.setText(f"{DEPTH_ALONE}\n{NEEDS_TRUTH}" if colour else NEEDS_TRUTH)
         for column, one in zip((self.a, self.b), self._measured, strict=True):
-            column.show_measured(one, self._state.units)
+            column.show_measured(one, self._state.units, SOLVING if self._asks else DASH)
