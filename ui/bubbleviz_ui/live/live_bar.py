@@ -71,7 +71,6 @@ class RecordControls(QWidget):
         self._stack.addWidget(self._before)
         self._stack.addWidget(self._during)
         self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        self.button.setMinimumWidth(self.button.sizeHint().width())
         fill(QHBoxLayout(self), self._stack, margins=none)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.button.clicked.connect(live.toggle_recording)
@@ -86,6 +85,8 @@ class RecordControls(QWidget):
         self._show_folder()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
+        # at least as wide as it was before: other controls do not move
+        self.button.setMinimumWidth(max(self.button.minimumWidth(), self.button.sizeHint().width()))
         tip = "End the recording" if busy else "Record the live source to a new file"
         self.button.setToolTip(f"{tip} (Ctrl+R)")
         self._stack.setCurrentWidget(self._during if busy else self._before)
