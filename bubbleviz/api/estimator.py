@@ -317,9 +317,9 @@ class FrameSolver:
         if sensor.calibration is None or sensor.membrane.prestretch or not self._touched:
             return ""
         return (
-            "the sensor file has no pre-stretch, so forces are those of a linear membrane, off by "
-            "up to 14 % on rubber, and proportional to the gauge pressure; their intervals contain "
-            "neither. Identify the sensor with inflation levels"
+            "the sensor file has no pre-stretch, so forces are those of a linear membrane: off by "
+            "up to 14 % on rubber, and by as much as the gauge pressure is. Their intervals "
+            "include neither error; identify the sensor with inflation levels"
         )
 
     def _drift_warning(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
@@ -72,12 +73,12 @@ class Factoriser:
         return Factor(symmetric_lu(matrix, "NATURAL"), self._rows)
 
 
-class LinearSolver:
+class LinearSolver(ABC):
     """A factorised matrix K."""
 
+    @abstractmethod
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K⁻¹ b for one (3f,) or several (3f, k) right sides."""
-        raise NotImplementedError
 
     def solve_with(
         self, right: np.ndarray, vector: np.ndarray, weight: float, across: np.ndarray | None = None

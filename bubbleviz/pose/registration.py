@@ -48,7 +48,7 @@ class ContactPoints:
 
     @property
     def extent_m(self) -> float:
-        """Distance of 95 % of the contact points from the centre; noise makes others far away."""
+        """Radius around the centre with 95 % of the contact points: noise puts some far away."""
         return float(np.quantile(np.linalg.norm(self.points - self.center, axis=1), 0.95))
 
 

@@ -75,26 +75,42 @@ def test_press_of_a_ball_equals_the_forward_model(pipeline, rubber, contact):
     assert np.linalg.norm(found.force_n - force) < 0.03 * np.linalg.norm(force)
 
 
-def test_jacobian_equals_finite_differences_of_the_membrane(pipeline, rubber, contact):
-    membrane = pressed(pipeline, rubber, "cylinder")
+def slope_of(motion, size, membrane, contact):
+    """Slope of a motion over its finite difference along the normals, and their correlation."""
     press = membrane.press(pose(), contact)
-    normals = press.part.mesh.normals
-    for motion, size, alike, off in (
+    normals, motion, ends = press.part.mesh.normals, np.array(motion, float), []
+    for sign in (1.0, -1.0):
+        membrane.reset()
+        there = moved(pose(), sign * size * motion, contact.center)
+        ends.append(membrane.press(there, contact).nodes)
+    change = np.einsum("ij,ij->i", ends[0] - ends[1], normals) / (2.0 * size)
+    slope = np.einsum("i,ikl,kl->k", motion, press.slopes, normals)
+    return slope @ change / (change @ change), np.corrcoef(change, slope)[0, 1]
+
+
+TILTS = ([0, 0, 0, 1, 0, 0], 0.01), ([0, 0, 0, 0, 1, 0], 0.003)
+
+
+@pytest.mark.parametrize(
+    ("motion", "size", "alike", "off"),
+    [
         ([0, 0, 1, 0, 0, 0], 5e-4, 0.98, 0.05),
-        # loads are not turned with the object: doing so makes slopes right, and poses no better
-        ([0, 0, 0, 1, 0, 0], 0.01, 0.95, 0.3),
-        ([0, 0, 0, 0, 1, 0], 0.003, 0.95, 0.3),
+        *((*tilt, 0.95, 0.3) for tilt in TILTS),
         ([1, 0, 0, 0, 0, 0], 1e-3, 0.95, 0.3),  # the flat face slides in its plane
-    ):
-        step = size * np.array(motion, float)
-        ends = []
-        for sign in (1.0, -1.0):
-            membrane.reset()
-            ends.append(membrane.press(moved(pose(), sign * step, contact.center), contact).nodes)
-        change = np.einsum("ij,ij->i", ends[0] - ends[1], normals) / (2.0 * size)
-        slope = np.einsum("i,ikl,kl->k", np.array(motion, float), press.slopes, normals)
-        assert np.corrcoef(change, slope)[0, 1] > alike
-        assert slope @ change / (change @ change) == pytest.approx(1.0, abs=off)
+    ],
+)
+def test_jacobian_equals_finite_differences(pipeline, rubber, contact, motion, size, alike, off):
+    ratio, correlation = slope_of(motion, size, pressed(pipeline, rubber, "cylinder"), contact)
+    assert correlation > alike
+    assert ratio == pytest.approx(1.0, abs=off)
+
+
+@pytest.mark.xfail(strict=True, reason="loads keep their direction while the object tilts")
+@pytest.mark.parametrize(("motion", "size"), TILTS)
+def test_jacobian_of_tilts_is_within_a_tenth(pipeline, rubber, contact, motion, size):
+    """As asked of the derivatives. Turned loads reach it, but ellipsoids then hold fewer poses."""
+    ratio, _ = slope_of(motion, size, pressed(pipeline, rubber, "cylinder"), contact)
+    assert ratio == pytest.approx(1.0, abs=0.1)
 
 
 def test_rounded_edges_release_the_membrane(pipeline, rubber, contact):

@@ -249,9 +249,9 @@ SLIDER_KEYS = frozenset({Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Home, Qt.
 
 
 class ControlInput(QObject):
-    """Event filter: a focused control gets its keys before shortcuts; others ignore the wheel.
+    """Event filter of controls and pictures: without focus they ignore the wheel.
 
-    A picture is a control of this kind, too.
+    With it, a control gets its keys before shortcuts.
     """
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
