@@ -16,7 +16,7 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Selection,
 )
-from bubbleviz.inverse.friction import WIDEST, friction_nuisances
+from bubbleviz.inverse.friction import friction_nuisances
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -255,13 +255,14 @@ class GaussNewton:
         noise: Noise,
         rounds: int,
         fit_image: bool,
-        friction_scales: tuple[float, float] = WIDEST,
+        friction_scales: tuple[float, float] | None,
         near_contact: np.ndarray | None = None,
     ) -> Step | None:
         """A step from a state, or None if its problem was not solved.
 
         Its support is selected in so many rounds, without the parts that contain none of the
-        nodes (n,) bool near a known contact; errors of the whole image are fitted or zero.
+        nodes (n,) bool near a known contact; errors of the whole image are fitted or zero, and
+        friction is fitted where its scales are given.
         """
         tangent = self._tangent_at(state, gas, last)
         measurements, friction = self._measurements(
@@ -302,7 +303,7 @@ class GaussNewton:
         observed: LinearisedFrame,
         gas: float | None,
         noise: Noise,
-        friction_scales: tuple[float, float] = WIDEST,
+        friction_scales: tuple[float, float] | None = None,
         *,
         fit_image: bool = True,
     ) -> tuple[Measurements, tuple[np.ndarray, np.ndarray]]:
@@ -317,7 +318,7 @@ class GaussNewton:
             moving.append(Nuisances.of_motions(bulge, np.zeros_like(bulge), sigma))
         first = sum(len(each.sigma) for each in moving)
         by_depth = np.zeros(0, int)
-        if self.friction > 0.0 and state.pressure.any():
+        if friction_scales and self.friction > 0.0 and state.pressure.any():
             found = friction_nuisances(
                 tangent,
                 state.pressure,

@@ -143,9 +143,9 @@ class Iteration:
     2. Step: solve for contact pressure and nuisances, on a support that is selected anew as
        long as steps are large, and after a first guess of the noise factor. After a small step
        the support is kept, as the solution could alternate between two supports for ever.
-       Errors of the whole image are fitted only near the solution, where they cannot explain
-       errors of the linearisation. Optical flow counts only there, and only with a contact: no
-       unknown but friction explains motion along the membrane.
+       Friction and errors of the whole image are fitted only near the solution, where they
+       cannot explain errors of the linearisation. Optical flow counts only there, and only with
+       a contact: no unknown but friction explains motion along the membrane.
     3. Once the shape has converged, select the support again, until it is complete.
     4. Update the noise factor, by which the image is weighted, from the residual of each step
        to an equilibrium; repeat from 1 until noise and solution agree, so that the result does
@@ -219,7 +219,7 @@ class Iteration:
                 self._noise,
                 rounds,
                 fit_image,
-                self._friction_scales,
+                self._friction_scales if self._near else None,
                 self._near_contact,
             )
             if step is None:
@@ -406,7 +406,7 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
     if _reject_image(newton, observed, newton.rest):
         return False
     fits = newton.fits_without_contact(observed, None)
-    step = newton.step(None, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits)
+    step = newton.step(None, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits, None)
     if step is None or not step.balanced:
         return False
     shows_rest = newton.shows_rest(observed, step.contact.pressure)

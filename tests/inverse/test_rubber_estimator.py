@@ -133,6 +133,15 @@ def test_presses_on_another_mesh(name, noise_m, relative):
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < (0.06 if relative else 0.03)
 
 
+def test_two_small_contacts_are_found_on_a_fine_mesh():
+    """Steps far from the solution must not explain errors of the linearisation by friction."""
+    mesh, contact = pressed("two_spheres", 0.007, 0.0, nodes=4000)
+    solver = estimator(2800, relative=5e-5 / 0.065)
+    estimate, _ = solver.estimate(depth_image_of(mesh, contact.displacement_3d_m, 5e-5))
+    assert estimate.status == "ok"
+    assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.01
+
+
 @pytest.mark.parametrize(
     ("depth", "off_pa"),
     [
