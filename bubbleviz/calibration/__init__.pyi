@@ -12,7 +12,6 @@ from .identification import (
     rest_gauge as rest_gauge,
 )
 from .material import (
-    RubberEstimate as RubberEstimate,
     collect_press as collect_press,
     press_hold_frames as press_hold_frames,
     with_rubber as with_rubber,

@@ -10,7 +10,7 @@ import numpy as np
 
 from bubbleviz.calibration.rest_frames import FrameSamples, Ranges
 from bubbleviz.calibration.surface import Surfaces
-from bubbleviz.calibration.tension import Quantity, TensionEstimate
+from bubbleviz.calibration.tension import MaterialEstimate, Quantity
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -28,7 +28,6 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration.material import RubberEstimate
     from bubbleviz.calibration.validation import Validation
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
@@ -53,17 +52,15 @@ class Identification:
     # chosen by validity and noise; from the surface on by bias, too
     pixels: PixelModel = _NOT_YET
     surfaces: Surfaces = _NOT_YET
-    tension: TensionEstimate = _NOT_YET
-    # absolute gas pressure of the open chamber, Pa, from which the tension has its gauge pressure
+    material: MaterialEstimate = _NOT_YET
+    # absolute gas pressure of the open chamber, Pa, from which `material` has its gauge pressure
     vented: Quantity | None = None
-    # None without inflation levels, press and open chamber
-    rubber: RubberEstimate | None = None
     validation: Validation | None = None  # by a known press
 
     @property
     def complete(self) -> bool:
         """Whether all steps were done."""
-        return self.tension is not None
+        return self.material is not None
 
     @property
     def mesh(self) -> MembraneMesh:
@@ -71,12 +68,12 @@ class Identification:
 
     @property
     def tension_n_per_m(self) -> float:
-        return self.tension.tension.value
+        return self.material.tension.value
 
     @property
     def prestretch(self) -> Quantity | None:
         """λ; None where it is not determined."""
-        return None if self.rubber is None else self.rubber.prestretch
+        return self.material.prestretch
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -110,7 +107,7 @@ class Identification:
 
     def _pressures(self) -> dict[str, float | None]:
         """Pressures and γ0 for the sensor file."""
-        gauge = self.tension.gauge
+        gauge = self.material.gauge
         sigma = max(round(gauge.sigma, 1), _RESOLUTION_PA) if gauge.known else None
         values = {
             "gauge_pressure_pa": round(gauge.value, 1),

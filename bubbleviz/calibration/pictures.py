@@ -29,7 +29,7 @@ def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
 def local_tension_image(found: Identification) -> np.ndarray:
     """γ0 by the force balance of each pixel's neighbourhood, (H, W), N/m."""
     scale = _BLUR * float(np.sqrt(found.mesh.areas.sum()))
-    field = local_tension(found.mesh, found.tension.gauge.value, scale)
+    field = local_tension(found.mesh, found.material.gauge.value, scale)
     hits = found.model.view.hits(np.zeros(len(field)))
     image = np.full(found.pixels.mask.shape, np.nan)
     at = field[found.mesh.triangles[hits.triangle]]

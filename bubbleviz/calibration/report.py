@@ -93,12 +93,12 @@ def write_sensor(
 
 
 def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
-    sensor, tension = found.sensor, found.tension.tension
+    sensor, tension = found.sensor, found.material.tension
     membrane = sensor.membrane
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
-    if (gauge := found.tension.gauge).known:
+    if (gauge := found.material.gauge).known:
         known["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
         known["gauge_from"] = gauge.source
     if (stretch := found.prestretch) is not None:
@@ -129,7 +129,7 @@ def _comment(found: Identification) -> str:
 
 def summary(found: Identification, origin: Origin) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
-    verdict, tension, surfaces = judge(found), found.tension, found.surfaces
+    verdict, tension, surfaces = judge(found), found.material, found.surfaces
     statistics, cap = found.samples.statistics, surfaces.cap
     pressed = () if found.validation is None else (found.validation.summary,)
     return {
@@ -203,12 +203,10 @@ def _rectification(found: Identification) -> dict[str, Any]:
     return {"levels": line.levels, **dict(zip(names, line.typical(mask), strict=True))}
 
 
-def _rubber(found: Identification) -> dict[str, Any] | None:
+def _rubber(found: Identification) -> dict[str, Any]:
     """λ and gauge pressure with intervals and sources, SI units, ready for JSON."""
-    rubber = found.rubber
-    if rubber is None:
-        return None
-    gauge = rubber.gauge if found.vented is None else found.tension.gauge
+    rubber = found.material
+    gauge = rubber.gauge if found.vented or rubber.gauge_candidates else None
     fitted = np.isfinite(rubber.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
@@ -216,7 +214,7 @@ def _rubber(found: Identification) -> dict[str, Any] | None:
         "prestretch_from": rubber.prestretch and rubber.prestretch.source,
         "why_not_determined": rubber.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge),
-        "gauge_from": found.tension.gauge.source,
+        "gauge_from": rubber.gauge.source,
         "from": rubber.shapes_kind if fitted else None,
         "levels": {name: getattr(rubber, name) for name in names} if fitted else None,
     }

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy import sparse
@@ -96,21 +96,8 @@ def _rest_rubber(
     return lambda q: prestressed(mesh, 1.0, tension / (1.0 - q), stress, slack_m)
 
 
-class _PredictedShape(NamedTuple):
-    rubber: RubberMembrane
-    x: np.ndarray  # (n, 3), m
-    pressure: float | np.ndarray  # inside minus outside, over G
-    factor: Factor  # of the tangent stiffness
-    change_m: np.ndarray  # (B,), change of range from rest; NaN: block not visible
-    view: ShapeRanges
-
-
-class Fit(NamedTuple):
-    """Minimum of the least squares."""
-
-    vector: np.ndarray  # as in `RubberProblem`
-    covariance: np.ndarray  # (2, 2), of q and G over the initial one, with model errors
-    temper: float  # variance of G over the variance by white noise alone
+Shape = tuple[ShapeRanges, Factor]
+"""Ranges of a shape in equilibrium, and the factor of its tangent stiffness."""
 
 
 class RubberProblem:
@@ -134,9 +121,9 @@ class RubberProblem:
         self._observer = observer = model.observer()
         self._surfaces, self._rest, self._mesh = found.surfaces, found.samples, found.mesh
         rest, mesh = self._rest, self._mesh
-        self._gauge_pa = gauge_pa = found.tension.gauge.value
+        self._gauge_pa = gauge_pa = found.material.gauge.value
         # relative, of the stress from shape and gauge pressure
-        self._stress_sigma = found.tension.of_shape.sigma / found.tension.of_shape.value
+        self._stress_sigma = found.material.of_shape.sigma / found.material.of_shape.value
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
         self._rubber = _rest_rubber(mesh, self._slack_m)
@@ -178,49 +165,50 @@ class RubberProblem:
 
     def _start_from_rest(self) -> None:
         """Start the next equilibrium solve at rest, not at the shapes found last."""
-        self._initial: Sequence[_PredictedShape | None] = [None] * len(self._shapes)
+        self._initial: Sequence[Shape | None] = [None] * len(self._shapes)
 
     @property
     def change_rms_m(self) -> float:
         """Robust rms of the measured changes of range, m."""
         return robust_sigma(self._change_m[np.isfinite(self._root)], center=0.0)
 
-    def unexplained_rms_m(self, vector: np.ndarray) -> float:
-        """Robust rms of measured minus modelled changes of range, m."""
-        return robust_sigma(self._residuals(vector), center=0.0)
-
     # -- model ----------------------------------------------------------------------------------
 
-    def _solved(self, vector: np.ndarray) -> list[_PredictedShape] | None:
+    def _solved(self, vector: np.ndarray) -> list[Shape] | None:
         found = self._predicted(vector, self._rubber(float(vector[0])))
         if found is not None:
             self._initial = found
         return found
 
-    def _predicted(
-        self, vector: np.ndarray, membrane: RubberMembrane
-    ) -> list[_PredictedShape] | None:
-        out = []
-        gauge_pa, rises_pa = self._gauge_pa * float(vector[1]), self._rises_pa(vector)
-        moved, at_rest = membrane.mesh.nodes - self._mesh.nodes, np.zeros(self._observer.blocks)
-        if moved.any():
-            at_rest = self._observer.around(membrane.mesh.nodes).model_m
-        for zone, place, rise_pa, last in zip(
-            self._zones, self._places, rises_pa, self._initial, strict=True
-        ):
-            pressure: float | np.ndarray = 1.0 + rise_pa / gauge_pa
-            if len(zone):
-                pressure = np.full(len(moved), pressure)
-                pressure[zone] -= vector[place]
-            x, factor = (self._mesh.nodes, None) if last is None else (last.x, last.factor)
+    def _predicted(self, vector: np.ndarray, membrane: RubberMembrane) -> list[Shape] | None:
+        moved, out = membrane.mesh.nodes - self._mesh.nodes, []
+        for pressure, last in zip(self._pressures(vector), self._initial, strict=True):
+            x, factor = (self._mesh.nodes, None) if last is None else (last[0].nodes_m, last[1])
             equilibrium = self._equilibrium(membrane, pressure, x + moved, factor)
             if equilibrium is None:
                 return None
             x, factor = equilibrium
-            view = self._observer.around(x, last and last.view)
-            change = np.full(len(at_rest), np.nan)
-            change[view.block] = (view.model_m - at_rest)[view.block]
-            out.append(_PredictedShape(membrane, x, pressure, factor, change, view))
+            out.append((self._observer.around(x, last and last[0]), factor))
+        return out
+
+    def _changes(self, found: Sequence[Shape], at_rest_m: float | np.ndarray = 0.0) -> np.ndarray:
+        """Changes of range from rest, (S, B), m; NaN: block not visible."""
+        change = np.full(self._change_m.shape, np.nan)
+        for row, (view, _) in zip(change, found, strict=True):
+            row[view.block] = (view.model_m - at_rest_m)[view.block]
+        return change
+
+    def _pressures(self, vector: np.ndarray) -> list[float | np.ndarray]:
+        """Pressure inside minus outside over G of each shape, per node where it is in contact."""
+        gauge_pa, out = self._gauge_pa * float(vector[1]), []
+        for zone, place, rise_pa in zip(
+            self._zones, self._places, self._rises_pa(vector), strict=True
+        ):
+            pressure: float | np.ndarray = 1.0 + rise_pa / gauge_pa
+            if len(zone):
+                pressure = np.full(len(self._mesh.nodes), pressure)
+                pressure[zone] -= vector[place]
+            out.append(pressure)
         return out
 
     def _rises_pa(self, vector: np.ndarray) -> list[float]:
@@ -265,24 +253,26 @@ class RubberProblem:
         """Derivatives of the changes by the unknowns (S·B, N), and by the stress at rest (S·B,)."""
         found, q = self._shapes_at(vector), float(vector[0])
         assert found is not None
-        rubber, rubber_after_step = found[0].rubber, self._rubber((1.0 + _STEP_OF_Q) * q)
+        rubber, rubber_after_step = self._rubber(q), self._rubber((1.0 + _STEP_OF_Q) * q)
         rest_force, slopes, by_stress = rubber.force(rubber.mesh.nodes), [], []
         gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
-        error = np.arange(self._size)[self._errors]
-        for k, (zone, place, each) in enumerate(zip(self._zones, self._places, found, strict=True)):
-            moving, area = rubber.moving, rubber.volume_gradient(each.x)
-            by_q = rubber.residual(each.x, each.pressure)
-            by_q = by_q - rubber_after_step.residual(each.x, each.pressure)
-            forces = np.zeros((*each.x.shape, 3 + len(zone)))
-            forces[..., 0] = rest_force - rubber.force(each.x)
+        error, moving = np.arange(self._size)[self._errors], rubber.moving
+        for k, (zone, place, pressure, (view, factor)) in enumerate(
+            zip(self._zones, self._places, self._pressures(vector), found, strict=True)
+        ):
+            x = view.nodes_m
+            area = rubber.volume_gradient(x)
+            by_q = rubber.residual(x, pressure) - rubber_after_step.residual(x, pressure)
+            forces = np.zeros((*x.shape, 3 + len(zone)))
+            forces[..., 0] = rest_force - rubber.force(x)
             forces[..., 1] = by_q / (_STEP_OF_Q * q)
             forces[..., 2] = area / gauge_pa
             forces[zone, :, 3 + np.arange(len(zone))] = -area[zone]
             motions = np.zeros_like(forces)
             right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
-            motions[moving] = each.factor.solve(right).reshape(len(moving), 3, -1)
+            motions[moving] = factor.solve(right).reshape(len(moving), 3, -1)
             rows = np.zeros((self._observer.blocks, motions.shape[2]))
-            rows[each.view.block] = each.view.jacobian @ motions.reshape(3 * len(each.x), -1)
+            rows[view.block] = view.jacobian @ motions.reshape(3 * len(x), -1)
             of_shape = np.zeros((len(rows), self._size))
             by_rise = rows[:, 2]  # per pascal
             of_shape[:, 0], of_shape[:, 1] = rows[:, 1], -rises_pa[k] / vector[1] * by_rise
@@ -298,15 +288,25 @@ class RubberProblem:
         found = self._shapes_at(vector)
         if found is None:
             return np.full(self._change_m.shape, np.inf)
-        return self._change_m - np.stack([each.change_m for each in found])
+        return self._change_m - self._changes(found)
 
     # -- least squares --------------------------------------------------------------------------
 
-    def fit(self) -> Fit:
-        """Least squares over the shapes alone.
+    def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Least squares over the shapes alone, and with a prior of relative σ on G.
 
+        Returns q and G over the initial one of both, (2, 2), their covariances with model errors,
+        (2, 2, 2), and the robust rms of the residuals of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
+        alone = self._alone()
+        covariance, temper = self._covariance(alone, np.inf, 1.0)
+        vector = self._minimise(alone, self._scale(alone), gauge_sigma, temper)
+        both = np.stack([alone[:2], vector[:2]])
+        covariances = np.stack([covariance, self._covariance(vector, gauge_sigma, temper)[0]])
+        return both, covariances, robust_sigma(self._residuals(vector), center=0.0)
+
+    def _alone(self) -> np.ndarray:
         vector: np.ndarray | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
@@ -319,18 +319,12 @@ class RubberProblem:
             if vector[0] > 1.01 * SMALLEST_Q:
                 break
         if vector is not None:
-            return self._with_covariance(vector, np.inf, 1.0)
+            return vector
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape at rest explains the shapes in"
             f" {', '.join(each.source_name for each in self._shapes)}; check the"
             " recorded gas pressures, and the pressures in the sensor file"
         )
-
-    def refit(self, alone: Fit, gauge_sigma: float) -> Fit:
-        """Least squares with a prior of relative σ on G, tempered as found by `fit`."""
-        scale = self._scale(alone.vector)
-        end = self._minimise(alone.vector, scale, gauge_sigma, alone.temper)
-        return self._with_covariance(end, gauge_sigma, alone.temper)
 
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows and right sides of the priors on G and on the errors of the gas pressures."""
@@ -392,7 +386,10 @@ class RubberProblem:
 
     # -- errors ---------------------------------------------------------------------------------
 
-    def _with_covariance(self, vector: np.ndarray, gauge_sigma: float, temper: float) -> Fit:
+    def _covariance(
+        self, vector: np.ndarray, gauge_sigma: float, temper: float
+    ) -> tuple[np.ndarray, float]:
+        """Of q and G, (2, 2), with the variance of G by the shapes over that by white noise."""
         (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector).ravel()
         root, change_m = self._root.ravel() / self._scale(vector), self._change_m.ravel()
         root, z = np.nan_to_num(root), residuals * root
@@ -421,9 +418,11 @@ class RubberProblem:
             np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
         ]
         for rubber, share in self._other_rubbers:
-            other = self._predicted(vector, rubber(float(vector[0])))
+            membrane = rubber(float(vector[0]))
+            other = self._predicted(vector, membrane)
             if other is not None:
-                change = np.concatenate([each.change_m for each in other]) - change_m
+                at_rest_m = self._observer.around(membrane.mesh.nodes).model_m
+                change = self._changes(other, at_rest_m).ravel() - change_m
                 errors.append(-share * influence.T @ np.nan_to_num(change + residuals))
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
@@ -441,7 +440,7 @@ class RubberProblem:
         white = inverse[1] @ by_data @ inverse[1]
         temper = float(covariance[1, 1] / white)
         covariance = covariance + inverse @ priors.T @ priors @ inverse.T
-        return Fit(vector, covariance, temper)
+        return covariance, temper
 
     @cached_property
     def _other_rubbers(self) -> list[tuple[Rubber, float]]:

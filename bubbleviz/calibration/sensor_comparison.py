@@ -57,12 +57,12 @@ class SensorComparison:
         before, after = (_numbers(model, measured) for model in models)
         known = old.calibration
         intervals = {
-            "γ0": new.tension.tension,
+            "γ0": new.material.tension,
             "λ": new.prestretch,
-            "gauge pressure": new.tension.gauge,
+            "gauge pressure": new.material.gauge,
         }
         names = list(intervals)
-        intervals["height"] = new.tension.dimensions["height_m"]
+        intervals["height"] = new.material.dimensions["height_m"]
         half = {name: each.half_width for name, each in intervals.items() if each and each.known}
         old_half: dict[str, float] = {}
         if known is not None:

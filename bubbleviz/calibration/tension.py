@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -67,8 +68,8 @@ class Quantity:
 
 
 @dataclass(frozen=True)
-class TensionEstimate:
-    """γ0 of the contact-free shape by Young–Laplace."""
+class MaterialEstimate:
+    """γ0 by Young–Laplace, gauge pressure, and pre-stretch λ where it is determined."""
 
     # γ0, N/m, of the chosen surface, with the error of the shape alone, at an exact gauge pressure
     of_shape: Quantity
@@ -87,6 +88,24 @@ class TensionEstimate:
     # the mean curvature varies, so that no uniform tension fits
     least_squares_n_per_m: float
     gauge: Quantity  # gauge pressure, Pa; γ0's interval includes its error where that is known
+    prestretch: Quantity | None = None  # λ; None: not determined
+    why_not: str = "neither levels nor a held press were used"  # to determine λ
+    shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
+    # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
+    # weighted mean of both
+    gauge_candidates: tuple[Quantity, Quantity] | None = None
+    rises_pa: tuple[float, ...] = ()  # gas pressure of every shape over that at rest, Pa
+    # robust rms of the changes of range from rest, and of the residuals of the rubber model, m
+    change_rms_m: float = np.nan
+    unexplained_rms_m: float = np.nan
+
+    @property
+    def contradicts_file(self) -> bool:
+        """Whether gauge pressures from shapes and file differ by more than their intervals."""
+        if self.gauge_candidates is None:
+            return False
+        shapes, file = self.gauge_candidates
+        return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
 
     @property
     def per_pascal(self) -> float:
@@ -111,7 +130,7 @@ class TensionEstimate:
             source = "shape, relative to the sensor file's gauge pressure"
         return Quantity(shape.value, *ends, source)
 
-    def under(self, gauge: Quantity) -> TensionEstimate:
+    def under(self, gauge: Quantity) -> MaterialEstimate:
         """The same estimate for another gauge pressure with its interval."""
         scale, shape = gauge.value / self.gauge.value, self.of_shape
         return replace(
@@ -129,7 +148,7 @@ def estimate_tension(
     surfaces: Surfaces,
     gauge: Quantity,  # gauge pressure, Pa
     progress: Progress = quiet,
-) -> TensionEstimate:
+) -> MaterialEstimate:
     """γ0 by Young–Laplace: P R/2 of a sphere, else by force balance over the chosen surface.
 
     Raises InputError: no tension balances the surface.
@@ -167,7 +186,7 @@ def estimate_tension(
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
-    under_1_pa = TensionEstimate(
+    under_1_pa = MaterialEstimate(
         of_shape=Quantity(value, own.low, own.high),
         dimensions={
             name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))

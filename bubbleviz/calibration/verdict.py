@@ -53,16 +53,16 @@ def pascals(pressure_pa: float) -> str:
 
 def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
     """Grade an identification by its numbers; `pressure` formats pressures."""
-    tension = found.tension.tension
+    tension = found.material.tension
     relative = tension.half_width / tension.value
     warnings = _warnings(found, pressure)
     grade: Grade = "good"
     if relative > _GOOD or warnings:
         grade = "usable"
-    if relative > _USABLE or (found.rubber is not None and found.rubber.contradicts_file):
+    if relative > _USABLE or found.material.contradicts_file:
         grade = "doubtful"
     value, low, high = tension.texts(2)
-    gauge = found.tension.gauge
+    gauge = found.material.gauge
     condition = f"at {pressure(gauge.value)} gauge pressure"
     if not gauge.known:
         condition = (
@@ -87,26 +87,25 @@ def _surface(found: Identification) -> str:
 
 def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     """Reasons to grade an identification below good."""
-    tension, surfaces = found.tension, found.surfaces
+    material, surfaces = found.material, found.surfaces
     out = []
     if found.samples.gas_pressure_pa is None:
         out.append(
             "Not every contact-free frame has a gas pressure, so γ0 is computed from the sensor "
             f"file's gauge pressure, and an error there of {pressure(100.0)} changes γ0 by"
-            f" {100 * tension.per_pascal:.2f} N/m. Record the gas pressure, or measure the gauge"
+            f" {100 * material.per_pascal:.2f} N/m. Record the gas pressure, or measure the gauge"
             " pressure and enter it in the sensor file."
         )
-    given, rubber = found.given.pneumatics.gauge_pressure_pa, found.rubber
-    gauge = tension.gauge
-    change = gauge.value / given - 1.0
+    gauge, candidates = material.gauge, material.gauge_candidates
+    change = gauge.value / found.given.pneumatics.gauge_pressure_pa - 1.0
     local = ", or enter the atmospheric pressure of the place in the sensor file"
     if found.given.pneumatics.atmosphere_is_local:
         local = ""
-    if rubber is not None and rubber.gauge_candidates is not None and rubber.contradicts_file:
-        shapes, file = (_interval(each, pressure) for each in rubber.gauge_candidates)
+    if candidates is not None and material.contradicts_file:
+        shapes, file = (_interval(each, pressure) for each in candidates)
         out.append(
-            f"Gauge pressure: {shapes} from the {rubber.shapes_kind}, {file} from "
-            f"{rubber.gauge_candidates[1].source}; one of them is wrong. Record the open chamber "
+            f"Gauge pressure: {shapes} from the {material.shapes_kind}, {file} from "
+            f"{candidates[1].source}; one of them is wrong. Record the open chamber "
             "for ten seconds (--vented)."
         )
     elif gauge.half_width > _USABLE * gauge.value:
@@ -114,7 +113,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The gauge pressure is known to ±{_percent(gauge.half_width / gauge.value)}, and every"
             f" force no better: record the open chamber for ten seconds (--vented){local}."
         )
-    if (rubber is None or rubber.gauge_candidates is None) and abs(change) > _USABLE:
+    if candidates is None and abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
         known = found.vented is not None
         out.append(
@@ -128,16 +127,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             "the surface is extrapolated from the fitted cap, and contact is only inferred."
             " Uncover the camera, or check its pose in the sensor file."
         )
-    height = tension.dimensions["height_m"].value
+    height = material.dimensions["height_m"].value
     rim = surfaces.rim_height_m
     if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
             f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
             "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
-    value, least = tension.tension.value, tension.least_squares_n_per_m
+    value, least = material.tension.value, material.least_squares_n_per_m
     apart = abs(least - value)
-    if apart > max(_GOOD * value, tension.tension.half_width):
+    if apart > max(_GOOD * value, material.tension.half_width):
         out.append(
             f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
             f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
@@ -152,8 +151,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 
 def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
     """γ0, gauge pressure and λ with their sources, and what would narrow their intervals."""
-    tension, rubber = found.tension, found.rubber
-    gamma, gauge = tension.tension, tension.gauge
+    material = found.material
+    gamma, gauge, stretch = material.tension, material.gauge, material.prestretch
     vented = found.vented is not None
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
@@ -162,7 +161,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
     low, high = map(pressure, gauge.positive)
     interval = f"95 % interval {low} to {high}" if gauge.known else "error unknown"
     gauge_text = f"{pressure(gauge.value)}, {interval}"
-    part = max(tension.parts, key=lambda name: tension.parts[name])
+    part = max(material.parts, key=lambda name: material.parts[name])
     of_tension = {
         "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
         "noise and fixed pattern of the pixels)",
@@ -176,21 +175,14 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         "surface": "uncover the whole dome, rim included (largest error: shape that is hidden or "
         "too fine for the fit)",
     }[part]
-    if rubber is None:
-        source, narrower = "neither levels nor a held press were used", _LEVELS
-    elif rubber.prestretch is None:
-        source, narrower = rubber.why_not, _LEVELS
-    else:
-        source = rubber.prestretch.source
-        levels = "record levels farther apart, or more (--level)"
-        narrower = levels if vented else chamber
-    stretch = found.prestretch
+    λ = Parameter("λ", "not determined", material.why_not, _LEVELS)
+    if stretch is not None:
+        narrower = "record levels farther apart, or more (--level)" if vented else chamber
+        λ = Parameter("λ", _range(stretch, 3), stretch.source, narrower)
     return (
         Parameter("γ0", _range(gamma, 2, " N/m"), gamma.source, of_tension),
         Parameter("gauge pressure", gauge_text, gauge.source, chamber_text),
-        Parameter(
-            "λ", "not determined" if stretch is None else _range(stretch, 3), source, narrower
-        ),
+        λ,
     )
 
 

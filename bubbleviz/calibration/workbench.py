@@ -175,7 +175,7 @@ class Workbench:
             vented = self._of_other(settings.vented, "vented", open_chamber)
         with _errors_name(self.source):
             gauge = rest_gauge(found.samples, self.sensor, vented)
-            tension = self._cached(
+            material = self._cached(
                 "tension",
                 (found.ranges, settings.nodes, settings.surface, settings.vented),
                 lambda: estimate_tension(
@@ -183,7 +183,7 @@ class Workbench:
                 ),
             )
         every = [level.result() for level in levels]
-        plain = rectify(replace(found, tension=tension, vented=vented), every)
+        plain = rectify(replace(found, material=material, vented=vented), every)
         progress("fitting the rubber", 0.5)
         fitted = self._cached(
             "rubber",

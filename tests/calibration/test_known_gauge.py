@@ -82,8 +82,8 @@ def identification(dome, camera=SMALL, nodes=NODES):
 
     def of(**pneumatics):
         sensor = sensor_file(camera, **pneumatics)
-        tension = once.tension.under(rest_gauge(once.samples, sensor))
-        return with_rubber(replace(once, given=sensor, tension=tension), levels)
+        material = once.material.under(rest_gauge(once.samples, sensor))
+        return with_rubber(replace(once, given=sensor, material=material), levels)
 
     return of
 
@@ -96,7 +96,7 @@ def identified(dome):
 def test_precise_gauge_pressure_is_kept(identified):
     found = identified(gauge_sigma_pa=0.01 * GAUGE_PA)
     assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE_PA, rel=0.02)
-    gauge = found.rubber.gauge
+    gauge = found.material.gauge
     assert gauge.low < GAUGE_PA < gauge.high
     assert found.sensor.pneumatics.gauge_sigma_pa == pytest.approx(
         gauge.half_width / 1.96, rel=0.01
@@ -109,7 +109,7 @@ def test_precise_gauge_pressure_is_kept(identified):
 def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa):
     """The atmospheric pressure in the sensor file is of another day."""
     found = identified(atmospheric_pressure_pa=ATMOSPHERE_PA - weather_pa)
-    gauge, (levels, file) = found.rubber.gauge, found.rubber.gauge_candidates
+    gauge, (levels, file) = found.material.gauge, found.material.gauge_candidates
     assert file.half_width == pytest.approx(2e3, rel=1e-3)
     assert file.value == pytest.approx(GAUGE_PA + weather_pa, abs=3.0)
     assert levels.low < GAUGE_PA < levels.high
@@ -128,8 +128,8 @@ def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
         gauge_sigma_pa=20.0,
         atmospheric_pressure_pa=ATMOSPHERE_PA + GAUGE_PA - 2000.0,
     )
-    gauge, (levels, file) = found.rubber.gauge, found.rubber.gauge_candidates
-    assert found.rubber.contradicts_file and levels.low > file.high
+    gauge, (levels, file) = found.material.gauge, found.material.gauge_candidates
+    assert found.material.contradicts_file and levels.low > file.high
     assert gauge.value == pytest.approx(2000.0, abs=40.0)
     assert gauge.high >= levels.value - 1.0
     verdict = judge(found)
@@ -155,7 +155,7 @@ def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
     sensor = sensor_file(atmospheric_pressure_pa=ATMOSPHERE_PA + 1500.0)
     found = identify(rest, sensor, range(FRAMES), nodes=NODES)
     levels = [collect(each, sensor, range(FRAMES)) for each in (low, high)]
-    rubber = with_rubber(found, levels).rubber
+    rubber = with_rubber(found, levels).material
     assert rubber.gauge_candidates[0].low < GAUGE_PA < rubber.gauge_candidates[0].high
     assert rubber.gauge.low < GAUGE_PA < rubber.gauge.high
     assert rubber.gauge.low > 0.0 and rubber.gauge.high < 2.0 * GAUGE_PA
@@ -185,7 +185,7 @@ def test_force_of_presses_after_levels(rendered_presses, pneumatics, tmp_path):
     """Force is accurate if the gauge pressure is known, otherwise within its interval."""
     identified, presses = rendered_presses
     found = identified(**pneumatics)
-    assert found.rubber.gauge.low < GAUGE_PA < found.rubber.gauge.high
+    assert found.material.gauge.low < GAUGE_PA < found.material.gauge.high
     saved = write_sensor(found, tmp_path / "dome.toml")
     assert saved.pneumatics.gauge_sigma_pa is not None
     pipeline = Pipeline.of(load_sensor(tmp_path / "dome.toml"))
@@ -255,7 +255,7 @@ def test_no_gas_pressure_makes_tension_relative(identified):
     found = identified(gauge_pressure_pa=4000.0)
     silent = replace(found.samples, gas_pressure_pa=None)
     gauge = rest_gauge(silent, found.given)
-    verdict = judge(replace(found, samples=silent, rubber=None, tension=found.tension.under(gauge)))
+    verdict = judge(replace(found, samples=silent, material=found.material.under(gauge)))
     assert "at an assumed gauge pressure of 4000 Pa" in verdict.summary
     (row,) = (each for each in verdict.parameters if each.name == "γ0")
     assert "relative to the sensor file's gauge pressure" in row.told_by

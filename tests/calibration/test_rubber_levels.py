@@ -150,20 +150,20 @@ def test_stretch_that_levels_hardly_tell_from_constant_tension():
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
     """The zero of the absolute sensor cancels."""
     only = with_rubber(opened(found, vented), [])
-    assert only.tension.gauge.source == "the open-chamber recording vented"
-    assert only.rubber.prestretch is None
-    assert only.tension.gauge.low < G < only.tension.gauge.high
-    assert only.tension.gauge.half_width < 0.005 * G
+    assert only.material.gauge.source == "the open-chamber recording vented"
+    assert only.material.prestretch is None
+    assert only.material.gauge.low < G < only.material.gauge.high
+    assert only.material.gauge.half_width < 0.005 * G
     assert only.sensor.pneumatics.atmospheric_pressure_pa == pytest.approx(
         ATMOSPHERE_PA + OFFSET, abs=3.0
     )
-    assert "neither levels nor" in only.rubber.why_not
+    assert "neither levels nor" in only.material.why_not
 
 
 def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     levels = [level(found, share) for share in (0.85, 1.15)]
-    known = with_rubber(opened(found, vented), levels).rubber
-    free = with_rubber(found, levels).rubber
+    known = with_rubber(opened(found, vented), levels).material
+    free = with_rubber(found, levels).material
     assert known.prestretch.low < SHEET.prestretch < known.prestretch.high
     assert known.prestretch.value == pytest.approx(SHEET.prestretch, abs=0.02)
     width = known.prestretch.half_width
@@ -177,11 +177,11 @@ def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found,
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + off * 1.15 * G)
     for given in (found, opened(found, vented)):
         usual = with_rubber(given, [low, high])
-        assert usual.tension.gauge.low < G < usual.tension.gauge.high
-        stretch = usual.rubber.prestretch
+        assert usual.material.gauge.low < G < usual.material.gauge.high
+        stretch = usual.material.prestretch
         assert stretch is None or stretch.low < SHEET.prestretch < stretch.high
     known = opened(found, vented)
-    exact = with_rubber(known, [low, high], level_sigma_pa=1.0).rubber.prestretch
+    exact = with_rubber(known, [low, high], level_sigma_pa=1.0).material.prestretch
     assert not exact.low < SHEET.prestretch < exact.high
 
 
@@ -199,7 +199,7 @@ def test_interval_on_an_oval_rim_holds_any_stress_that_balances(vented):
     rest = opened(identify(source(1.0), given, range(60)), vented)
     low, high = (collect(source(share), given, range(60)) for share in (0.85, 1.15))
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + 0.02 * 1.15 * G)
-    stretch = with_rubber(rest, [low, high]).rubber.prestretch
+    stretch = with_rubber(rest, [low, high]).material.prestretch
     assert stretch.low < sheet.prestretch < stretch.high
 
 
@@ -211,8 +211,8 @@ def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented)
     ranges[int(0.45 * rows) : int(0.55 * rows)] -= 3e-3
     shaded = replace(low, statistics=replace(low.statistics, range_m=ranges))
     known = opened(found, vented)
-    clean = with_rubber(known, [low, high]).rubber.prestretch
-    crossed = with_rubber(known, [shaded, high]).rubber.prestretch
+    clean = with_rubber(known, [low, high]).material.prestretch
+    crossed = with_rubber(known, [shaded, high]).material.prestretch
     assert crossed.value == pytest.approx(clean.value, abs=0.25 * clean.half_width)
     assert crossed.low < SHEET.prestretch < crossed.high
 
@@ -229,12 +229,12 @@ def test_interval_of_the_open_chamber_holds_its_pressure(readings, correlation, 
 def test_levels_that_do_not_determine_the_prestretch(found):
     low = level(found, 0.85)
     kept = with_rubber(found, [replace(low, gas_pressure_pa=None)])
-    assert kept.rubber.prestretch is None and "lack the gas pressure" in kept.rubber.why_not
+    assert kept.material.prestretch is None and "lack the gas pressure" in kept.material.why_not
     assert kept.sensor == found.sensor
     alike = with_rubber(found, [level(found, 1.002)])
-    assert alike.rubber.prestretch is None and "from that at rest" in alike.rubber.why_not
+    assert alike.material.prestretch is None and "from that at rest" in alike.material.why_not
     wrong = replace(low, gas_pressure_pa=low.gas_pressure_pa + 0.25 * G)  # it sank as it rose
-    assert with_rubber(found, [wrong]).rubber.prestretch is None
+    assert with_rubber(found, [wrong]).material.prestretch is None
 
 
 def test_open_chamber_of_a_sensor_without_noise(found):

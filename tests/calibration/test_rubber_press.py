@@ -118,7 +118,7 @@ def with_press(pressed):
 
 def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     """The sensor file's atmosphere is 0.9 kPa too much."""
-    rubber, stretch = with_press.rubber, truth[3]
+    rubber, stretch = with_press.material, truth[3]
     assert rubber.prestretch.source == "the press in press"
     file = "the recorded gas pressure minus the atmospheric pressure in the sensor file"
     assert rubber.gauge.source == f"the press in press; {file}"
@@ -136,7 +136,7 @@ def test_report_names_the_pressed_object(with_press):
     numbers = summary(with_press, {})
     assert numbers["rubber"]["from"] == "press"
     assert numbers["gauge_pressure_measured"] is True
-    assert numbers["rubber"]["levels"]["rises_pa"] == with_press.rubber.rises_pa
+    assert numbers["rubber"]["levels"]["rises_pa"] == with_press.material.rises_pa
 
 
 def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press):
@@ -149,11 +149,11 @@ def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press
             gas_pressure_pa=held.gas_pressure_pa[part],
             statistics=measure_depth(held.depth_m[part], held.camera.range_per_depth),
         )
-        shapes, _ = with_rubber(found, [], press=half).rubber.gauge_candidates
+        shapes, _ = with_rubber(found, [], press=half).material.gauge_candidates
         assert (
-            with_press.rubber.gauge_candidates[0].low
+            with_press.material.gauge_candidates[0].low
             < shapes.value
-            < with_press.rubber.gauge_candidates[0].high
+            < with_press.material.gauge_candidates[0].high
         )
 
 
@@ -163,9 +163,9 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
     vented = Quantity.normal(ATMOSPHERE_PA, 2.0, chamber)
     found, held = identified(truth, seed=7, air_pa=ATMOSPHERE_PA)
     known = with_rubber(opened(found, vented), [], press=held)
-    assert known.tension.gauge.source == chamber
-    assert known.tension.gauge.value == pytest.approx(G, rel=0.003)
-    rubber = known.rubber
+    assert known.material.gauge.source == chamber
+    assert known.material.gauge.value == pytest.approx(G, rel=0.003)
+    rubber = known.material
     assert rubber.prestretch.low < truth[3] < rubber.prestretch.high
     assert rubber.prestretch.source == f"the press in press; the gauge pressure from {chamber}"
 
@@ -181,10 +181,9 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):
         depth_m=held.depth_m + glare.astype(np.float32),
         statistics=replace(held.statistics, range_m=ranges),
     )
-    rubber = with_rubber(found, [], press=shiny).rubber
-    for crossed, clean in (
-        (rubber.gauge, with_press.rubber.gauge), (rubber.prestretch, with_press.rubber.prestretch),
-    ):  # fmt: skip
+    crossed_rubber, clean_rubber = with_rubber(found, [], press=shiny).material, with_press.material
+    for name in ("gauge", "prestretch"):
+        crossed, clean = getattr(crossed_rubber, name), getattr(clean_rubber, name)
         assert crossed.value == pytest.approx(clean.value, abs=0.5 * clean.half_width)
 
 
@@ -192,12 +191,12 @@ def test_press_without_information(pressed):
     found, held = pressed
     silent = replace(held, gas_pressure_pa=None)
     kept = with_rubber(found, [], press=silent)
-    assert kept.sensor == found.sensor and "gas pressure" in kept.rubber.why_not
+    assert kept.sensor == found.sensor and "gas pressure" in kept.material.why_not
     untouched = replace(found.samples, gas_pressure_pa=found.samples.gas_pressure_pa + 400.0)
     kept = with_rubber(found, [], press=untouched)
-    assert kept.sensor == found.sensor and "no dent" in kept.rubber.why_not
+    assert kept.sensor == found.sensor and "no dent" in kept.material.why_not
     wrong = replace(held, gas_pressure_pa=held.gas_pressure_pa - 600.0)
     kept = with_rubber(found, [], press=wrong)
-    assert kept.rubber.gauge is None and kept.rubber.prestretch is None
-    assert "the gas pressure falls by " in kept.rubber.why_not
+    assert kept.material.gauge_candidates is None and kept.material.prestretch is None
+    assert "the gas pressure falls by " in kept.material.why_not
     assert kept.sensor == found.sensor

@@ -16,7 +16,7 @@ NOISE = DepthNoise(relative=0.003)
 
 def verdict_on(dome):
     found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
-    return found.tension, judge(found)
+    return found.material, judge(found)
 
 
 def test_disagreement_of_balance_and_least_squares_prevents_grade_good():
@@ -38,17 +38,17 @@ def ball():
     """Ideal apart from the small number of frames, 20."""
     dome = sphere(0, NOISE, frames=20, scale=0.35)
     found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
-    gas = np.full(20, 1e5 + found.tension.gauge.value)
+    gas = np.full(20, 1e5 + found.material.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
     return with_tension(with_seen_share(replace(found, samples=samples), 1.0), 0.01)
 
 
 def with_tension(found, relative, **changes):
     """The same with another relative half-width of γ0, and other fields of its estimate."""
-    value = found.tension.tension.value
+    value = found.material.tension.value
     interval = Quantity(value, (1.0 - relative) * value, (1.0 + relative) * value)
     estimate = {"of_shape": interval, "least_squares_n_per_m": value} | changes
-    return replace(found, tension=replace(found.tension, **estimate))
+    return replace(found, material=replace(found.material, **estimate))
 
 
 def in_frames(found, frames):
@@ -87,7 +87,7 @@ def with_seen_share(found, share):
 def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relative, frames, grade):
     verdict = judge(with_tension(in_frames(ball, frames), relative))
     assert verdict.grade == grade
-    assert verdict.summary.startswith(f"{grade}: γ0 = {ball.tension.tension.value:.1f} N/m")
+    assert verdict.summary.startswith(f"{grade}: γ0 = {ball.material.tension.value:.1f} N/m")
     assert f"({100 * relative:.2g} % either way)" in verdict.summary
     few = any(f"Only {frames} contact-free frames" in line for line in verdict.advice)
     assert few is (frames < 30)
@@ -119,7 +119,7 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
     tension, gauge, stretch = judge(ball).parameters
     assert "error unknown" in gauge.value and "(--vented)" in gauge.narrower
     assert stretch.value == "not determined" and "(--level)" in stretch.narrower
-    parts = ball.tension.parts
+    parts = ball.material.parts
     for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():
         found = with_tension(ball, 0.01, shape_parts=parts | {name: 10.0 * max(parts.values())})
         tension = judge(found).parameters[0]
@@ -128,7 +128,7 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
 
 @pytest.mark.parametrize(("relative", "apart"), [(0.01, 0.021), (0.03, 0.025)])
 def test_least_squares_disagree_beyond_the_interval_and_two_percent(ball, relative, apart):
-    value = ball.tension.tension.value
+    value = ball.material.tension.value
     for sign in (-1.0, 1.0):
         far = with_tension(ball, relative, least_squares_n_per_m=(1.0 + sign * apart) * value)
         warned = any(f"{100 * apart:.2g} % apart" in line for line in judge(far).advice)

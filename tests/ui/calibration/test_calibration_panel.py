@@ -33,7 +33,7 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
         assert bench.answer.work.settings.last_step == step
         assert panel.page.view.image is not None
         assert panel.stack.currentWidget().horizontalScrollBar().maximum() == 0
-    estimate = bench.found.tension
+    estimate = bench.found.material
     value, half = estimate.tension.value, estimate.tension.half_width
     assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"
     assert estimate.tension.low < TENSION < estimate.tension.high
@@ -60,7 +60,7 @@ def test_steps_up_to_gamma0_with_undo_and_redo(bench):
     for _ in range(4):
         bench.redo()
     assert bench.answer.work == last.work
-    assert bench.found.tension.tension == last.found.tension.tension
+    assert bench.found.material.tension == last.found.material.tension
     # undo while the number box has the focus
     bench.step(2)
     nodes = panel.surface.nodes
@@ -118,7 +118,7 @@ def test_frames_are_removed_and_replaced(bench):
     assert after.ranges == ((0, 5), (10, before.ranges[0][1]))
     assert not set(range(5, 10)) & set(after.samples.frames)
     assert after.contact_free is before.contact_free
-    assert after.tension.tension.value != before.tension.tension.value
+    assert after.material.tension.value != before.material.tension.value
     assert frames.message.text().startswith("frames 0–4, 10–")
 
     def replace(first, last):
@@ -130,8 +130,8 @@ def test_frames_are_removed_and_replaced(bench):
     replaced = bench.answer
     assert replaced.found.ranges == ((3, 15),) == panel.strip.ranges
     assert replaced.work.settings.nodes == 150
-    value = replaced.found.tension.tension.value
-    assert value != after.tension.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
+    value = replaced.found.material.tension.value
+    assert value != after.material.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
     replace("3", "5")
     assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated: settings changed since. ")
@@ -221,7 +221,7 @@ def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, mo
         table.item(k, 0).text(): (table.item(k, 1).text(), table.item(k, 2).text())
         for k in range(table.rowCount())
     }
-    own = found.tension.tension
+    own = found.material.tension
     assert cells["γ0"][1] == f"{own.value:.1f} ± {own.half_width:.1f} N/m"
     assert float(cells["γ0"][0].removesuffix(" N/m")) == pytest.approx(TENSION, rel=0.02)
     assert cells["height"][0] == "50.00 mm"
@@ -259,7 +259,7 @@ def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, mo
     after, used = bench.found, bench.found.pixels.mask.sum()
     assert used < before.pixels.mask.sum() and page.view.image.sum() == used
     assert page.numbers.text("used") == f"{used} of {after.pixels.mask.size} pixels"
-    assert after.surfaces is before.surfaces and after.tension is before.tension
+    assert after.surfaces is before.surfaces and after.material is before.material
     page.validity.box.setValue(100.0)
     bench.done()
     assert panel.calibration.settings.min_validity == pytest.approx(1.0)

@@ -94,26 +94,18 @@ class RectificationPage(Page):
 
     def _show_rubber(self, answer: Answer) -> None:
         """Show λ and gauge pressure, or why they are not determined."""
-        found, pressure, rubber = answer.found, self.units.gas_pressure, answer.found.rubber
-        stretch: str | None
-        if not found.complete:
-            stretch = None
-        elif rubber is None:
-            stretch = (
-                "not determined: add levels, or record a press held still after the untouched "
-                "frames; all with gas pressure"
-            )
-        elif rubber.prestretch is None:
-            stretch = f"not determined: {rubber.why_not}"
-        else:
-            stretch = "{}, 95 % interval {} … {}".format(*rubber.prestretch.texts(3))
-        self.numbers.set("λ", stretch)
-        gauge = found.tension.gauge if found.complete else None
-        text = None
-        if gauge is not None and gauge.known:
-            text = pressure.with_interval(gauge.value, gauge.half_width)
-        self.numbers.set("gauge pressure", text)
-        self.numbers.set("gauge pressure from", None if gauge is None else gauge.source)
+        names = "λ", "gauge pressure", "gauge pressure from"
+        shown: tuple[str | None, ...] = (None,) * len(names)
+        if answer.found.complete:
+            material = answer.found.material
+            gauge, stretch = material.gauge, material.prestretch
+            text = f"not determined: {material.why_not}"
+            if stretch is not None:
+                text = "{}, 95 % interval {} … {}".format(*stretch.texts(3))
+            pressure = self.units.gas_pressure.with_interval(gauge.value, gauge.half_width)
+            shown = text, pressure if gauge.known else None, gauge.source
+        for name, each in zip(names, shown, strict=True):
+            self.numbers.set(name, each)
 
     def _choose_vented(self) -> None:
         path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")

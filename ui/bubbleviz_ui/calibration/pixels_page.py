@@ -278,7 +278,7 @@ class TensionPage(Page):
             self.numbers.clear()
             self.numbers.set("γ0", unit.text(None))
             return
-        estimate = found.tension
+        estimate = found.material
         value = estimate.tension.value
         self.view.show_image(
             "Local γ0",
