@@ -22,7 +22,7 @@ from bubbleviz.calibration import (
     Workbench,
     as_ranges,
     output_files,
-    save,
+    write_sensor,
 )
 from bubbleviz.errors import InputError
 from bubbleviz.files import parse_pose, refuse_input
@@ -117,8 +117,15 @@ class Identified(Summary):
             A file exists or cannot be written; then nothing is written.
         """
         out, folder = Path(out), None if report is None else Path(report)
-        args = self.found, self.source, self.started_from, out, folder
-        self.numbers = save(*args, progress, overwrite=overwrite)
+        progress("writing", 0.0)
+        self.numbers = write_sensor(
+            self.found,
+            out,
+            folder,
+            source=self.source,
+            sensor_file=self.started_from,
+            overwrite=overwrite,
+        )
         self.out, self.report = out, folder
         return self.numbers
 

@@ -22,7 +22,6 @@ from .pictures import (
 )
 from .report import (
     output_files as output_files,
-    save as save,
     summary as summary,
     write_sensor as write_sensor,
 )

@@ -25,7 +25,6 @@ from bubbleviz.files import (
     write_json,
     write_ply,
 )
-from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
 
@@ -55,9 +54,12 @@ def output_files(
 def write_sensor(
     found: Identification,
     out_toml: str | Path,
-    origin: Origin | None = None,
     report: Path | None = None,  # new folder for `report.html` and `report.json`
-) -> Sensor:
+    *,
+    source: FrameSource | None = None,  # its frames; hashed where it is a file
+    sensor_file: str | None = None,  # the sensor file before identification
+    overwrite: bool = False,
+) -> dict[str, Any]:
     r"""Write `X.toml`, `X.npz`, for a mesh surface `X.ply`, and the report, all or none.
 
     The shipped Punyo preset is made by (move the old files away first)::
@@ -69,27 +71,37 @@ def write_sensor(
 
     Returns
     -------
-    Sensor
+    dict
+        The numbers of the report.
 
     Raises
     ------
     InputError
         A file exists, or cannot be written; then nothing is written.
     """
-    path, mesh_path, pixels_path, *_ = output_files(out_toml, report)
-    origin = origin or {"recording": found.samples.source_name}
-    sensor = _described(found, path, origin)
-    with ExitStack() as files:
+    path = Path(out_toml)
+    files = output_files(path, report, overwrite=overwrite)
+    _, mesh_path, pixels_path, *_ = files
+    recording = getattr(source, "path", None)
+    origin: Origin = {
+        "recording": found.samples.source_name,
+        "recording_sha256": None if recording is None else file_hash(recording),
+        "sensor_file": sensor_file,
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "report": None if report is None else portable_path(report / "report.html", path.parent),
+    }
+    sensor, numbers = _described(found, path, origin), summary(found, origin)
+    with restore_on_error(*files), ExitStack() as stack:
         # Files appear in reverse order: the sensor file last, after the files that it names.
-        toml = files.enter_context(whole_file(path))
+        toml = stack.enter_context(whole_file(path))
         if sensor.membrane.mesh_file is not None:
-            mesh, ply = found.mesh, files.enter_context(whole_file(mesh_path))
+            mesh, ply = found.mesh, stack.enter_context(whole_file(mesh_path))
             write_ply(ply, mesh.nodes, {}, mesh.triangles, _MESH_COMMENT)
-        found.pixels.save(files.enter_context(whole_file(pixels_path)))
+        found.pixels.save(stack.enter_context(whole_file(pixels_path)))
         toml.write_text(_comment(found) + sensor_to_toml(sensor), encoding="utf-8")
         if report is not None:
-            write_report(found, summary(found, origin), files.enter_context(whole_file(report)))
-    return sensor
+            write_report(found, numbers, stack.enter_context(whole_file(report)))
+    return numbers
 
 
 def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
@@ -131,9 +143,8 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
     verdict, tension, surfaces = judge(found), found.material, found.surfaces
     statistics, cap = found.samples.statistics, surfaces.cap
-    pressed = () if found.validation is None else (found.validation.summary,)
     return {
-        "verdict": asdict(verdict) | {"advice": [*verdict.advice, *pressed]},
+        "verdict": asdict(verdict),
         "origin": origin,
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
@@ -233,33 +244,3 @@ def _validation(found: Identification) -> dict[str, Any] | None:
         "predicted_force_n": validation.predicted_force_n.tolist(),
         "measured_force_n": validation.measured_force_n.tolist(),
     }
-
-
-def save(
-    found: Identification,
-    source: FrameSource,  # its frames; hashed where it is a file
-    sensor_file: str,  # the sensor file before identification
-    out: Path,  # SENSOR.toml; its mesh and pixels go into the same folder
-    report: Path | None,  # folder
-    progress: Progress = quiet,
-    *,
-    overwrite: bool = False,
-) -> dict[str, Any]:
-    """Write the sensor to `out`, and its report; returns the numbers of the report.
-
-    Raises InputError: a file exists or cannot be written. Raises Cancelled: by `progress`. Nothing
-    is written in either case.
-    """
-    files = output_files(out, report, overwrite=overwrite)
-    path = getattr(source, "path", None)
-    origin: Origin = {
-        "recording": source.name,
-        "recording_sha256": None if path is None else file_hash(path),
-        "sensor_file": sensor_file,
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "report": None if report is None else portable_path(report / "report.html", out.parent),
-    }
-    progress("writing", 0.0)
-    with restore_on_error(*files):
-        write_sensor(found, out, origin, report)
-    return summary(found, origin)

@@ -73,7 +73,9 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
         f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high}"
         f" ({_percent(relative)} either way), {condition}"
     )
-    return Verdict(grade, summary, (_surface(found), *warnings), parameters(found, pressure))
+    pressed = () if found.validation is None else (found.validation.summary,)
+    advice = (_surface(found), *warnings, *pressed)
+    return Verdict(grade, summary, advice, parameters(found, pressure))
 
 
 def _surface(found: Identification) -> str:

@@ -186,7 +186,8 @@ def test_force_of_presses_after_levels(rendered_presses, pneumatics, tmp_path):
     identified, presses = rendered_presses
     found = identified(**pneumatics)
     assert found.material.gauge.low < GAUGE_PA < found.material.gauge.high
-    saved = write_sensor(found, tmp_path / "dome.toml")
+    write_sensor(found, tmp_path / "dome.toml")
+    saved = load_sensor(tmp_path / "dome.toml")
     assert saved.pneumatics.gauge_sigma_pa is not None
     pipeline = Pipeline.of(load_sensor(tmp_path / "dome.toml"))
     for frame, force in presses:

@@ -15,12 +15,12 @@ from bubbleviz.calibration import (
     Workbench,
     as_ranges,
     frame_numbers,
-    save,
     write_sensor,
 )
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import HeldFrames
+from bubbleviz.sensor import load_sensor
 from tests.small_press import changed
 
 from .domes import sphere
@@ -139,7 +139,8 @@ def test_frame_ranges():
 
 
 def test_a_sensor_does_not_differ_from_itself(found, tmp_path):
-    same = SensorComparison.of(write_sensor(found, tmp_path / "own.toml"), found)
+    write_sensor(found, tmp_path / "own.toml")
+    same = SensorComparison.of(load_sensor(tmp_path / "own.toml"), found)
     assert same.largest_m < 5e-6  # the file's digits
     for row in same.rows:
         if row.name == "λ":
@@ -152,10 +153,9 @@ def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
     stretch, gauge = Quantity(1.2, 1.15, 1.27), Quantity(2585.5, 2500.0, 2671.0)
     material = replace(found.material.under(gauge), prestretch=stretch)
     found = replace(found, material=material)
-    rows = {
-        row.name: row
-        for row in SensorComparison.of(write_sensor(found, tmp_path / "own.toml"), found).rows
-    }
+    write_sensor(found, tmp_path / "own.toml")
+    comparison = SensorComparison.of(load_sensor(tmp_path / "own.toml"), found)
+    rows = {row.name: row for row in comparison.rows}
     tension = found.material.tension.half_width
     for name, half in {"γ0": tension, "λ": 0.06, "gauge pressure": 85.5}.items():
         assert rows[name].half_width == pytest.approx(half, rel=1e-3), name
@@ -174,7 +174,7 @@ def test_another_height_appears_in_table_and_image(found):
 def test_collected_frames_are_saved_with_a_report(dome, tmp_path):
     frames = HeldFrames([dome[k] for k in range(12)], "live")
     found = identify(frames, dome.sensor, range(12), nodes=NODES)
-    save(found, frames, "given", tmp_path / "new.toml", tmp_path / "report")
+    write_sensor(found, tmp_path / "new.toml", tmp_path / "report", source=frames)
     origin = json.loads((tmp_path / "report" / "report.json").read_text())["origin"]
     assert origin["recording"] == "live" and origin["recording_sha256"] is None
     with pytest.raises(InputError, match="no frame"):
@@ -189,5 +189,5 @@ def test_a_report_that_cannot_be_written_leaves_no_sensor(dome, found, tmp_path,
 
     monkeypatch.setattr(module, "write_report", full_disk)
     with pytest.raises(InputError, match="disk full"):
-        save(found, dome, "given", tmp_path / "new.toml", tmp_path / "report")
+        write_sensor(found, tmp_path / "new.toml", tmp_path / "report")
     assert not list(tmp_path.iterdir())

@@ -98,9 +98,10 @@ class CalibrationPanel(QWidget):
         named = replace(found, given=found.given.model_copy(update={"name": path.stem}))
 
         def job(progress: Progress) -> None:
-            from bubbleviz.calibration import save  # not at start
+            from bubbleviz.calibration import write_sensor  # not at start
 
-            save(named, source, initial.name, path, report, progress)
+            progress("writing", 0.0)
+            write_sensor(named, path, report, source=source, sensor_file=initial.name)
 
         saved = f"Saved {path} and {report.name}"
 
