@@ -117,7 +117,6 @@ class Identified(Summary):
             A file exists or cannot be written; then nothing is written.
         """
         out, folder = Path(out), None if report is None else Path(report)
-        progress("writing", 0.0)
         self.numbers = write_sensor(
             self.found,
             out,
@@ -125,6 +124,7 @@ class Identified(Summary):
             source=self.source,
             sensor_file=self.started_from,
             overwrite=overwrite,
+            progress=progress,
         )
         self.out, self.report = out, folder
         return self.numbers

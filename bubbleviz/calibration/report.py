@@ -25,6 +25,7 @@ from bubbleviz.files import (
     write_json,
     write_ply,
 )
+from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import FrameSource
 from bubbleviz.sensor import Calibration, Sensor, sensor_to_toml
 
@@ -59,6 +60,7 @@ def write_sensor(
     source: FrameSource | None = None,  # its frames; hashed where it is a file
     sensor_file: str | None = None,  # the sensor file before identification
     overwrite: bool = False,
+    progress: Progress = quiet,
 ) -> dict[str, Any]:
     r"""Write `X.toml`, `X.npz`, for a mesh surface `X.ply`, and the report, all or none.
 
@@ -78,6 +80,8 @@ def write_sensor(
     ------
     InputError
         A file exists, or cannot be written; then nothing is written.
+    Cancelled
+        By `progress`, before anything is written.
     """
     path = Path(out_toml)
     files = output_files(path, report, overwrite=overwrite)
@@ -90,6 +94,7 @@ def write_sensor(
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "report": None if report is None else portable_path(report / "report.html", path.parent),
     }
+    progress("writing", 0.0)
     sensor, numbers = _described(found, path, origin), summary(found, origin)
     with restore_on_error(*files), ExitStack() as stack:
         # Files appear in reverse order: the sensor file last, after the files that it names.

@@ -76,9 +76,8 @@ class RestingSource:
         self.closed = True
 
 
-def never_written(*arguments):
+def never_written(*_, progress, **__):
     """Replaces the report by a slow one."""
-    progress = next(each for each in arguments if callable(each))
     while True:
         progress("writing", 0.5)
         time.sleep(0.01)

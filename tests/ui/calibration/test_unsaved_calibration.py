@@ -89,7 +89,7 @@ def test_identification_survives_close_and_another_recording_asks_to_save_it(
     refused("Cancel", None)
     refused("Save…", None)
     with monkeypatch.context() as slowly, cancelling(bench):
-        slowly.setattr("bubbleviz.calibration.save", never_written)
+        slowly.setattr("bubbleviz.calibration.write_sensor", never_written)
         refused("Save…", out)
     monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
     answered(bench, other, "Save…")

@@ -100,8 +100,9 @@ class CalibrationPanel(QWidget):
         def job(progress: Progress) -> None:
             from bubbleviz.calibration import write_sensor  # not at start
 
-            progress("writing", 0.0)
-            write_sensor(named, path, report, source=source, sensor_file=initial.name)
+            write_sensor(
+                named, path, report, source=source, sensor_file=initial.name, progress=progress
+            )
 
         saved = f"Saved {path} and {report.name}"
 
