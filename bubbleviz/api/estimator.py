@@ -305,22 +305,10 @@ class FrameSolver:
         """Warnings about the frames so far; `where` they are from: recording or source."""
         found = (
             self._sensor_warning(where),
-            self._model_warning(),
             self._drift_warning(),
             self._friction_warning(),
         )
         return [text for text in found if text]
-
-    def _model_warning(self) -> str:
-        """Warning if a calibrated sensor's forces are by a linear membrane; else empty."""
-        sensor = self.pipeline.model.sensor
-        if sensor.calibration is None or sensor.membrane.prestretch or not self._touched:
-            return ""
-        return (
-            "the sensor file has no pre-stretch, so forces are those of a linear membrane: off by "
-            "up to 14 % on rubber, and by as much as the gauge pressure is. Their intervals "
-            "include neither error; identify the sensor with inflation levels"
-        )
 
     def _drift_warning(self) -> str:
         """Warning if depth images drift; else empty.

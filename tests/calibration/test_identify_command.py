@@ -8,9 +8,8 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from small_press import record, small_source
+from small_press import record
 
-import bubbleviz as bv
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording
@@ -65,15 +64,6 @@ def test_no_contact_on_contact_free_frames_after_identification(made):
         for k in (28, 29, 30)
     ]
     assert max(forces) < 0.2  # 1 % noise: 1.4 mm
-
-
-def test_forces_without_pre_stretch_are_warned_of(made):
-    folder, _ = made
-    identified = folder / "mine.toml"
-    touched = bv.estimate([*small_source(identified, (0.060, 0.044))], identified)
-    assert "no pre-stretch" in touched.warning and "inflation levels" in touched.warning
-    free = bv.estimate([*small_source(identified, (0.060, 0.060))], identified)
-    assert "pre-stretch" not in (free.warning or "")
 
 
 def test_report_is_self_contained(made):

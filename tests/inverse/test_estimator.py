@@ -253,3 +253,20 @@ def test_correlated_noise_that_should_be_white_is_not_trusted(sphere):
     small, large = (depth * (1 + s * noise / noise.std()).astype(np.float32) for s in (5e-4, 0.01))
     assert first(estimator(), small).status == "ok"
     assert first(estimator(), large).status == "implausible"
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_sigma_includes_the_uncertainty_of_the_tension(sphere, measured):
+    """Against a second solve with the other tension."""
+    usual, image = estimator(), sphere.depth(0.002)
+    gas_pa = REST_PA + sphere.contact.gas_pressure_change_pa if measured else None
+
+    def solved(tension, stiffness_error=0.0):
+        gas = Gas.of(SENSOR.pneumatics, usual.mesh)
+        film = ConstantTension(usual.mesh, tension, gas, stiffness_error)
+        return first(Estimator(usual.observer, film), image, gas_pa)
+
+    known, unsure, stiffer = solved(TENSION), solved(TENSION, 0.05), solved(1.05 * TENSION)
+    np.testing.assert_array_equal(unsure.force_n, known.force_n)
+    by_tension = np.sqrt(unsure.force_sigma_n[2] ** 2 - known.force_sigma_n[2] ** 2)
+    assert by_tension == pytest.approx(abs(stiffer.force_n[2] - known.force_n[2]), rel=0.1)

@@ -1,0 +1,41 @@
+"""Intervals of forces by constant tension, where the membrane is rubber of another solver."""
+
+import numpy as np
+import pytest
+
+import bubbleviz as bv
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.sensor import load_sensor
+from tests.rubber_renders import GAUGE_PA, at_rest, dome_sensor, rubber_truth
+from tests.small_press import changed
+
+from .conftest import DOME_CAMERA, dome_images
+
+GAUGE_SIGMA = 0.04  # relative, of the gauge pressure in the sensor file
+
+
+@pytest.fixture(scope="module")
+def dome():
+    return rubber_truth("dome_ball")
+
+
+@pytest.mark.parametrize("deviations", [-1.0, 0.0, 1.0])
+def test_interval_holds_the_force_without_prestretch(dome, deviations, tmp_path):
+    """With a gauge pressure in the sensor file that is off by some of its standard deviations."""
+    gauge_pa = (1.0 + deviations * GAUGE_SIGMA) * GAUGE_PA
+    air_pa = dome_sensor().pneumatics.reference_pressure_pa - gauge_pa
+    pneumatics = {
+        "gauge_pressure_pa": gauge_pa,
+        "gauge_sigma_pa": GAUGE_SIGMA * GAUGE_PA,
+        "atmospheric_pressure_pa": air_pa,
+    }
+    sensor = changed(dome_sensor(DOME_CAMERA), pneumatics=pneumatics)
+    rest = dome_images(dome, at_rest(dome["rest_m"], 10), GAUGE_PA)
+    bv.identify(rest, sensor, contact_free=range(10), nodes=500).save(tmp_path / "dome.toml")
+    pipeline = Pipeline.of(load_sensor(tmp_path / "dome.toml"))
+    images = dome_images(dome, dome["nodes_m"], dome["gauge_pressure_pa"], 1e-4, 2)
+    for image, force in list(zip(images, dome["force_n"], strict=True))[::3]:
+        found = pipeline.process(image, frozenset({"estimate"})).estimate
+        error, size = found.force_n - force, np.linalg.norm(force)
+        assert np.all(np.abs(error) < 1.96 * found.force_sigma_n)
+        assert found.force_sigma_n[2] < 0.15 * size
