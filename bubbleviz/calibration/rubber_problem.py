@@ -126,7 +126,7 @@ class RubberProblem:
         self._stress_sigma = found.material.of_shape.sigma / found.material.of_shape.value
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
-        self._rubber = _rest_rubber(mesh, self._slack_m)
+        self._rubber = lru_cache(maxsize=2)(_rest_rubber(mesh, self._slack_m))
         self._shapes, self._pressed = shapes, pressed
         pressures = np.array([_mean_pressure(each) for each in (rest, *shapes)])
         self.rises_pa = tuple((pressures[1:, 0] - pressures[0, 0]).tolist())
