@@ -141,7 +141,9 @@ class Dock(QDockWidget):
 
 def column(window: QMainWindow, side: Qt.DockWidgetArea) -> list[Dock]:
     """The docks shown at a side of the window, also behind tabs."""
-    at_side = [dock for dock in window.findChildren(Dock) if window.dockWidgetArea(dock) == side]
+    direct = Qt.FindChildOption.FindDirectChildrenOnly  # not through thousands of widgets
+    docks = window.findChildren(Dock, options=direct)
+    at_side = [dock for dock in docks if window.dockWidgetArea(dock) == side]
     return [dock for dock in at_side if not (dock.isHidden() or dock.isFloating())]
 
 
