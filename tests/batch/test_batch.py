@@ -22,7 +22,7 @@ from bubbleviz.api.batching import (
     run_job,
 )
 from bubbleviz.errors import InputError
-from tests.program import COMMAND, output_of, python, refusal, rows_of, start
+from tests.program import COMMAND, output_of, python, refusal, rows_of, run, start
 from tests.recordings.bagmaker import START, BagMaker
 
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
@@ -344,9 +344,8 @@ def test_depth_topic_is_that_of_every_recording(tmp_path, sensor):
         bag.image(START + k * 10**8, frame.depth_m, topic="/right/depth/image")
     folder.mkdir()
     shutil.copy(bag.write(tmp_path), folder)
-    words = (folder, "--sensor", sensor, "--jobs", "1", "--out")
-    assert batch(*words, tmp_path / "first").returncode == 2
-    done = batch(*words, tmp_path / "chosen", "--depth-topic", "/right/depth/image")
-    assert done.returncode == 0, done.stderr
+    words = ("batch", folder, "--sensor", sensor, "--jobs", "1", "--out")
+    assert run(*words, tmp_path / "first").exit_code == 2
+    output_of(*words, tmp_path / "chosen", "--depth-topic", "/right/depth/image")
     (row,) = table_of(tmp_path / "chosen").values()
     assert row["outcome"] == "done" and float(row["max_force_n"]) > 1.0

@@ -23,6 +23,7 @@ def test_coverage_of_known_rows():
     assert not all(target.met for target in report_of([inside, outside]).targets)
 
 
+@pytest.mark.long
 def test_poses_of_a_small_run():
     study = coverage_study(load_sensor("pico_flexx_75mm"), SMALL).run()
     assert study.omitted == []

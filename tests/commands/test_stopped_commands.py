@@ -55,7 +55,10 @@ def stopped(words, folder, by, eventually):
         return process.wait(), process.stderr.read()
 
 
-@pytest.mark.parametrize("name", WRITING)
+@pytest.mark.parametrize(
+    "name",  # the table of `pose` is written as that of `estimate`
+    [pytest.param(each, marks=pytest.mark.long) if each == "pose" else each for each in WRITING],
+)
 def test_a_terminated_command_leaves_no_file(name, given, tmp_path, eventually):
     """SIGTERM, as of `timeout` and systemd, while it writes."""
     done = stopped(words_of(WRITING[name], given, tmp_path), tmp_path, signal.SIGTERM, eventually)
