@@ -41,16 +41,20 @@ def as_flat_sheet(mesh: MembraneMesh) -> tuple[np.ndarray, float] | None:
     x, solved_pressure = mesh.nodes, 0.0
     stretch = _PRESTRETCH * float(np.sqrt(mesh.facet_areas.sum() / flat.facet_areas.sum()))
     pressure = mean_curvature(mesh) * (1.0 - stretch**-6)  # of a uniformly stretched sheet
+    low, high = 0.0, np.inf  # of the pressure sought: too low a sheet; too high, or no equilibrium
     for _ in range(_MAX_PRESSURES):
         try:
             x, solved_pressure = inflation.at(pressure, x), pressure
         except SolveError:
-            pressure *= 0.7
-            continue
-        height_ratio = height / float(x[:, 2].max())
-        if abs(height_ratio - 1.0) < _HEIGHT_TOLERANCE:
-            break
-        pressure *= float(np.clip(height_ratio, 0.6, 1.5))
+            high, following = pressure, 0.7 * pressure
+        else:
+            height_ratio = height / float(x[:, 2].max())
+            if abs(height_ratio - 1.0) < _HEIGHT_TOLERANCE:
+                break
+            low, high = (pressure, high) if height_ratio > 1.0 else (low, pressure)
+            following = pressure * float(np.clip(height_ratio, 0.6, 1.5))
+        # near the largest pressure that a sheet bears, its height changes much faster than pressure
+        pressure = following if low < following < high else 0.5 * (low + high)
     sheet, stress = replace(flat, nodes=x), rubber.stress(x) / solved_pressure
     mean = 0.5 * np.trace(stress, axis1=1, axis2=2) @ sheet.facet_areas / sheet.facet_areas.sum()
     balanced = Prestress.of(mesh, 1.0, near=Prestress.fitted(sheet, stress)).on(mesh)

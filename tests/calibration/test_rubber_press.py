@@ -14,6 +14,7 @@ from bubbleviz.membrane import (
     RubberForward,
     RubberMembrane,
     inverse_metric,
+    mean_curvature,
     mesh_cap,
 )
 from bubbleviz.recordings import measure_depth
@@ -114,6 +115,24 @@ def with_press(pressed):
     found, held = pressed
     assert held.frames[0] == FREE + 5  # the camera's filter has forgotten the way in
     return with_rubber(found, [], press=held)
+
+
+def test_the_flat_sheet_compared_has_the_height_of_the_surface(pressed):
+    """Its excess of tension is between those of sheets under increasing pressure."""
+    surfaces = pressed[0].surfaces
+    flat = replace(surfaces.mesh, nodes=surfaces.mesh.nodes * [1.0, 1.0, 0.0])
+    rubber = RubberMembrane(flat, 0.0, 1.005**2 * inverse_metric(flat), 1.0)
+    inflation, x, inflated = Inflation(rubber, np.zeros_like(flat.nodes)), None, []
+    for pressure in range(38, 47, 2):  # it bears less than 47 Pa
+        x = inflation.at(pressure, x)
+        sheet = replace(flat, nodes=x)
+        stress = 0.5 * np.trace(rubber.stress(x), axis1=1, axis2=2) / pressure
+        mean = stress @ sheet.facet_areas / sheet.facet_areas.sum()
+        inflated.append((x[:, 2].max(), mean * mean_curvature(sheet) - 1.0))
+    height = surfaces.mesh.nodes[:, 2].max()
+    low, high = np.interp([0.98 * height, 1.02 * height], *np.transpose(inflated))
+    assert inflated[0][0] < 0.98 * height and 1.02 * height < inflated[-1][0]
+    assert low - 1e-4 < surfaces.as_flat_sheet[1] < high + 1e-4
 
 
 def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
