@@ -36,7 +36,7 @@ from tests.small_press import changed
 
 from .identified import identify
 
-FRAMES, NODES = 10, 500
+FRAMES, NODES = 10, 300
 WEATHER = 2e3 / 1.96
 SMALL = camera_of(160, 107.5)
 
@@ -169,7 +169,7 @@ def rendered_presses():
     presses = render("press", camera, shapes, dome["triangles"], gauge_pa, seed=9)
     pairs = list(zip(presses, dome["force_n"], strict=False))
     every = 1 if "TEST_ALL" in os.environ else 3
-    return identification(dome, camera, nodes=1000), pairs[::every]
+    return identification(dome, camera, nodes=700), pairs[::every]
 
 
 @pytest.mark.parametrize(

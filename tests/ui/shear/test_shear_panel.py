@@ -182,8 +182,8 @@ def test_use_of_colour_is_said_beside_the_force_and_in_compare(drive, rubber):
     driver = drive(open_source=lambda _: source, sensor=rubber)
     panel, layers = driver.window.compare, driver.state.settings.layers
     driver.state.change(layers=layers | {"traction"})
-    for k in (*range(COLLECTED + 1), len(source) - 1):
-        driver.seek(k)
+    driver.pass_by(range(COLLECTED + 1))
+    driver.seek(len(source) - 1)
     details = lambda: next(t for t in view_texts(driver) if t.startswith("peak"))  # noqa: E731
     assert "by depth and colour" in details()
     driver.show("compare")
@@ -271,8 +271,8 @@ def test_a_frame_has_one_force_whatever_was_shown_before(drive, rubber):
 
     by_depth = force()
     driver.show("shear")
-    for k in (*range(COLLECTED + 1), last):
-        driver.seek(k)
+    driver.pass_by(range(COLLECTED + 1))
+    driver.seek(last)
     assert panel.state.text() == "depth and texture" and panel.copy.isEnabled()
     by_colour = force()
     assert by_colour != by_depth
