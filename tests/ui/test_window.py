@@ -19,9 +19,10 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from window_driver import CONTACT, LEFT, text_actors
+from window_driver import CONTACT, text_actors, turn_wheel
 
 import bubbleviz
+from bubbleviz.sensor import Membrane
 from bubbleviz_ui.model.demand import STAGES
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
@@ -194,14 +195,11 @@ def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
         assert "Eq." in TIPS[name] or "V-C" in TIPS[name]
 
 
-def test_new_source_keeps_camera_and_settings(drive, sensor):
+def test_new_source_of_a_sensor_keeps_camera_and_settings(drive, sensor):
     first = DentSource(sensor)
     driver = drive(lambda _: first, frame=6)
     view = driver.window.view
-    middle = view.rect().center()
-    driver.bot.mousePress(view, LEFT, pos=middle)
-    driver.bot.mouseMove(view, middle + QPoint(60, 25))
-    driver.bot.mouseRelease(view, LEFT, pos=middle + QPoint(60, 25))
+    turn_view(driver)
     moved = tuple(view.camera.position)
     driver.state.change(kappa=2.5, membrane_opacity=0.5)
     driver.seek(8)
@@ -213,6 +211,29 @@ def test_new_source_keeps_camera_and_settings(drive, sensor):
     assert driver.state.settings.kappa == 2.5 and driver.shows_chosen_kappa()
     assert driver.state.settings.membrane_opacity == 0.5
     assert first.closed
+
+
+def test_sensor_of_another_size_is_shown_whole(drive, sensor):
+    driver = drive(DentSource, frame=6)
+    view = driver.window.view
+    turn_view(driver)
+    turn_wheel(view, 5)  # zooms
+    half = Membrane(rim_radius_m=0.0375, height_m=0.025, nodes=150)
+    other = sensor.model_copy(update={"name": "half", "membrane": half})
+    driver.open("dent", DentSource, other, frame=7, playing=False)
+    driver.wait(lambda: driver.state.facts.sensor_name == "half")
+    driver.wait_until_shown()
+    seen = [view.screen_position(node) for node in driver.pipeline.mesh.nodes]
+    across, down = (np.ptp([getattr(at, axis)() for at in seen]) for axis in "xy")
+    assert all(view.rect().contains(at.toPoint()) for at in seen)
+    assert max(across / view.width(), down / view.height()) > 0.5
+
+
+def turn_view(driver):
+    """Drag the 3-D view to another viewpoint."""
+    view = driver.window.view
+    middle = view.rect().center()
+    driver.drag(view, middle, middle + QPoint(60, 25))
 
 
 def test_error_of_opening_is_shown_until_another_file_opens(drive, tmp_path, press):

@@ -139,6 +139,8 @@ class DrawnLayers:
 
 MARGIN = 1.0
 """Margin around the membrane for layers outside it, in diagonals of its bounding box."""
+SAME_SIZE = 0.1
+"""Relative difference in size up to which a view of one membrane also suits another; chosen."""
 
 
 class Scene:
@@ -170,14 +172,18 @@ class Scene:
         view.setMinimumSize(2 * WIDTH, MIN_HEIGHT)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Set another sensor; a camera moved by the user stays."""
-        self._mesh, self._sensor = mesh, sensor
+        """Set another sensor; a camera moved by the user stays if the membrane is as large."""
+        before, self._mesh, self._sensor = self._mesh, mesh, sensor
         self._result = None
         self._bounds = _bounds(mesh, sensor, self._others_m)
         self._drawn.set_sensor(sensor, mesh)
         self.scales.set_sensor(sensor)
         self.marks.set_camera(np.array(sensor.camera.position_m))
-        self._fit_unless_moved()
+        alone = not len(self._others_m)  # of two sensors, both stay in view
+        if alone and before is not None and not _as_large(before, mesh):
+            self.reset_view()
+        else:
+            self._fit_unless_moved()
 
     @property
     def moved_by_user(self) -> bool:
@@ -282,6 +288,11 @@ class Scene:
     def _camera_place(self) -> tuple[object, ...]:
         camera = self._view.camera
         return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))
+
+
+def _as_large(one: MembraneMesh, other: MembraneMesh) -> bool:
+    """Whether membranes have about the same size, as one sensor at its inflation levels has."""
+    return np.allclose(np.ptp(one.nodes, axis=0), np.ptp(other.nodes, axis=0), rtol=SAME_SIZE)
 
 
 def _bounds(mesh: MembraneMesh, sensor: Sensor, others_m: np.ndarray) -> list[float]:
