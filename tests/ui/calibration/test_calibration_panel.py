@@ -1,5 +1,6 @@
 """Calibration panel by clicks, drags and keys, on an exactly known dome."""
 
+import json
 import time
 from pathlib import Path
 
@@ -242,6 +243,9 @@ def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, mo
     assert Path(proposed[0]).name == f"resting_{time.strftime('%Y-%m-%d')}.toml"
     assert sensor.pneumatics.tension_n_per_m == pytest.approx(found.tension_n_per_m, abs=1e-3)
     assert sensor.resolve(sensor.calibration.pixels_file).exists()
+    written = json.loads((tmp_path / "mine_report" / "report.json").read_text())
+    for finding in written["verdict"]["advice"]:
+        assert finding in report.advice.text()
     assert (tmp_path / "mine_report" / "report.html").exists()
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
     bench.click(report.save_as)

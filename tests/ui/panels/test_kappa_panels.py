@@ -121,6 +121,10 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     whole, areas = inspection().kappa_curve.area_at(15.0), [part.area_m2 for part in parts()]
     driver.wait(lambda: panel.curve.frame.text.startswith(f"{1e6 * whole:.0f} mm² at κ"))
     assert sum(areas) == pytest.approx(driver.result.patch.area_m2)
+    forces_n = np.array([part.force_n for part in parts()])
+    assert column(panel, 1) == [f"{size:.2f} N" for size in np.linalg.norm(forces_n, axis=1)]
+    headline = np.linalg.norm(forces_n.sum(axis=0))
+    driver.wait(lambda: kappa.force.text().startswith(f"{headline:.2f} ±"))
     assert areas == sorted(areas)[::-1] and set(column(panel, 3)) == {"contact"}
     assert column(panel, 0)[0] == f"{1e6 * areas[0]:.0f} mm²"
 

@@ -42,6 +42,7 @@ def test_palette_by_keyboard(drive):
         "theme dark": "View › Theme › Dark",
         "screen": "View › Full screen",
         "nextm": "Playback › Next marker",
+        "analyse": "Playback › Analyse all frames",
     }.items():
         palette.search.setText(typed)
         assert found()[0].split("    ")[0] == first
