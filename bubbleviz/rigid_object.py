@@ -78,8 +78,8 @@ def object_mesh(
     size = float(np.ptp(vertices, axis=0).max())
     if size > _MAX_SIZE_M:
         millimetres = (
-            "scale it or, if the file is in millimetres, end its name in _mm (or set its unit: "
-            "Pose panel, pose --unit mm)"
+            "scale it or, if the file is in millimetres, choose that unit (next to the object in "
+            "the Pose panel; pose --unit mm)"
         )
         advice = "scale it" if in_mm else millimetres
         raise InputError(f"{path}: the object is {size:.4g} m long, more than 1 m; {advice}")

@@ -157,10 +157,7 @@ def colour_camera(
     if intrinsics is None:
         remarks.append("no calibrated camera info of this image size")
     elif not own:
-        remarks.append(
-            "no camera info of this image size is named like the colour topic; using the depth "
-            "camera's"
-        )
+        remarks.append("no colour camera info of this image size; using the depth camera's")
     if T_D_C is None:
         remarks.append(
             f"no pose relative to the depth camera (in ROS from {STATIC_TRANSFORMS}); assuming the "

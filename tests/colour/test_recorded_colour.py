@@ -177,4 +177,4 @@ def test_info_lists_the_colour_images(tmp_path):
     assert (facts.colour.width, facts.colour.height, facts.colour.images) == (32, 24, 3)
     said = facts.to_text()
     assert "32 × 24 pixels, rgb8, /cam/color/image_raw; 3 images, 15.00 Hz" in said
-    assert "no camera info of this image size is named like the colour topic" in said
+    assert "no colour camera info of this image size" in said

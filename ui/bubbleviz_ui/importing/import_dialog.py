@@ -282,8 +282,8 @@ class ImportDialog(QDialog):
         if path is None:
             return
         self._show_outcome(None, "")
-        beside = self.images.options if is_image_folder(path) else {}
-        function = partial(_imported, path, self.out_path, beside, self._worker.progress)
+        options = self.images.options if is_image_folder(path) else {}
+        function = partial(_imported, path, self.out_path, options, self._worker.progress)
         self._worker.submit(function, self._on_done, self._on_failed, discard=_discard)
         self.progress.show_step("opening", 0.0)
         self._show()
@@ -316,9 +316,9 @@ class ImportDialog(QDialog):
             self.accept()
 
 
-def _imported(path: Path, out: Path, beside: dict[str, Any], progress: Progress) -> ConvertSummary:
+def _imported(path: Path, out: Path, options: dict[str, Any], progress: Progress) -> ConvertSummary:
     make_folder(out)
-    return convert(path, out, progress=progress, **beside)
+    return convert(path, out, progress=progress, **options)
 
 
 def _discard(summary: ConvertSummary) -> None:

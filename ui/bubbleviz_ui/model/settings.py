@@ -207,7 +207,7 @@ class Settings(_SettingsBase):
     plots: frozenset[str] = _setting(
         frozenset({"force", "gas", "area"}),
         "Plots",
-        "Quantities to plot; what nothing shows is not computed",
+        "Quantities to plot; hidden ones are not computed",
         titles={name: plot.title for name, plot in PLOTS.items()},
     )
     images: frozenset[ImageName] = _setting(

@@ -164,7 +164,7 @@ class OtherRecording(QWidget):
             "Solve all frames of the open recording and of the comparison chosen above, with the "
             "settings of the window"
         )
-        self.remove.setToolTip("Forget the other recording and sensor file")
+        self.remove.setToolTip("Remove the other recording and sensor file from the comparison")
         self.recording.setToolTip("Recording to compare with the one that is open")
         self.sensor_file.setToolTip(
             "Sensor file of the other recording; without another recording: solve the open one "

@@ -307,8 +307,8 @@ class SessionSaver(QObject):
 
     def _is_unsaved(self, sensor: Sensor) -> bool:
         """Whether a sensor was not saved by the user."""
-        beside = self._file is not None and is_copy_next_to(sensor, self._file)
-        return not sensor.file or beside
+        copied = self._file is not None and is_copy_next_to(sensor, self._file)
+        return not sensor.file or copied
 
     def _live(self, sensor: str | None) -> SessionPreset | None:
         """Connected live sensors, the selected one with its current sensor file."""

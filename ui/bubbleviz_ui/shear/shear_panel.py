@@ -83,8 +83,8 @@ TIPS = {
     "direction": "Angle of the tangential force about z, from x towards y of the bubble frame",
     "torque": "Torque about the mean normal through the contact's centre",
     "displacement": "Largest displacement along the membrane within the contact",
-    "slip": "Share of the patch that slipped since contact, relative to the part that sticks; a "
-    "dash where unknown, as if too little sticks",
+    "slip": "Share of the patch that slipped since contact, relative to the part that sticks; – "
+    "if unknown, for example because too little sticks",
 }
 UNVERIFIED = "not verified on real sensors"
 STATES = {
