@@ -97,6 +97,21 @@ def within(widget, place):
     return painted(widget)[top : place.bottom() - 2, left : place.right() - 28]
 
 
+def test_unchecked_boxes_and_separators_of_menus_are_visible(drive):
+    driver = drive(frame=3)
+    menu = next(a.menu() for a in driver.window.menuBar().actions() if "View" in a.text())
+    box = next(a for a in menu.actions() if a.isCheckable() and not a.isChecked())
+    line = next(a for a in menu.actions() if a.isSeparator())
+    for title in ("Dark", "Light"):
+        choose(driver, title)
+        menu.popup(driver.window.pos())
+        for action in (box, line):
+            place = menu.actionGeometry(action)
+            part = painted(menu)[place.top() : place.bottom() + 1, place.left() + 4 : 28]
+            assert selected(part) > 3.0, (title, action.text())  # WCAG 2, parts of controls
+        menu.close()
+
+
 def test_contrast_of_selected_and_disabled_text(drive):
     driver = drive(frame=3)
     for title in ("Dark", "Light"):

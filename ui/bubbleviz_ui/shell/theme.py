@@ -174,6 +174,10 @@ def style_sheet(c: Colours) -> str:
     """
     return f"""
 QMenu::item:selected, QMenuBar::item:selected {{ background: {c.hover}; color: {c.text}; }}
+QMenu::item {{ padding: 3px 24px 3px 12px; }}
+QMenu::indicator {{ left: 8px; }}
+QMenu::indicator:exclusive {{ border-radius: 7px; }}
+QMenu::separator {{ height: 1px; background: {c.outline}; margin: 3px 8px; }}
 QMenu::item:disabled, QAbstractItemView::item:disabled {{ color: {c.disabled}; }}
 QMainWindow, QDialog {{ background: {c.window}; }}
 QMainWindow::separator {{ background: {c.field}; width: 4px; height: 4px; }}
@@ -198,9 +202,9 @@ QPushButton:focus, QToolButton:focus, QComboBox:focus, QDoubleSpinBox:focus
     {{ border: 1px solid {c.accent}; }}
 QAbstractSpinBox {{ min-height: 1.35em; }}
 QCheckBox {{ spacing: 8px; padding: 2px; }}
-QCheckBox::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
+QCheckBox::indicator, QMenu::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
     border-radius: 3px; background: {c.field}; }}
-QCheckBox::indicator:checked {{ background: {c.accent}; border-color: {c.accent};
+QCheckBox::indicator:checked, QMenu::indicator:checked {{ background: {c.accent}; border-color: {c.accent};
     image: url("{_FOLDER}/{c.tick}"); }}
 QCheckBox:focus {{ color: {c.accent}; }}
 QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
