@@ -63,6 +63,20 @@ def bench(drive, monkeypatch):
     made.release()
 
 
+def test_proposed_names_have_that_of_the_recording(bench, sensor, monkeypatch):
+    source = DentSource(sensor)
+    source.name = "left hand.mcap"
+    bench.open("recording", lambda _: source, sensor, playing=False)
+    bench.wait(lambda: bench.state.facts.title == source.name)
+    asked = []
+    answer = lambda *given, **_: asked.append(given[2]) or (None, "")  # noqa: E731
+    monkeypatch.setattr(export_dialog, "new_file", answer)
+    for title in ("Table", "Membrane series"):
+        bench.pick(bench.dialog.kind, title)
+        bench.click(bench.dialog.export)
+    assert asked == ["left_hand_table.csv", "left_hand_membrane_series"]
+
+
 def test_export_table_of_the_chosen_range_with_poses(bench, tmp_path):
     state = bench.state
     state.set_range((3, 8))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import re
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,7 +24,7 @@ from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import new_file
+from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.table import Table
 
 if TYPE_CHECKING:
@@ -102,7 +100,8 @@ class ReportPage(Page):
         return by_kind[kind]
 
     def choose_file(self) -> None:
-        proposed, kinds = proposed_name(self.calibration.name), "Sensor files (*.toml)"
+        proposed = name_of_output(self.calibration.name, f"{time.strftime('%Y-%m-%d')}.toml")
+        kinds = "Sensor files (*.toml)"
         path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
         if path is not None:
             self.save.emit(path)
@@ -117,11 +116,6 @@ class ReportPage(Page):
         self.save_as.setToolTip(
             "Write sensor file, mesh, pixel data and report, or nothing if one fails"
         )
-
-
-def proposed_name(source: str) -> str:
-    stem = re.sub(r"[^\w-]+", "_", Path(source).stem).strip("_") or "sensor"
-    return f"{stem}_{time.strftime('%Y-%m-%d')}.toml"
 
 
 # Step 6: validation by pressing a known object at a known pose.

@@ -21,7 +21,7 @@ from bubbleviz_ui.export.exporting import KINDS, TOPIC, Exporting, Kind
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import new_file
+from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.message_bars import JobProgress
 
 RANGE, ALL = False, True
@@ -153,7 +153,8 @@ class ExportDialog(QDialog):
 
     def _choose_name(self) -> None:
         kind, frames = self.chosen, self.chosen_frames
-        proposed = kind.title.lower().replace(" ", "_") + next(iter(kind.suffixes.values()), "")
+        what = kind.title.lower().replace(" ", "_") + next(iter(kind.suffixes.values()), "")
+        proposed = name_of_output(self._state.title, what)
         title = f"Export {kind.title.lower()}" if kind.suffixes else "Name of a new folder"
         path, chosen = new_file(self, title, proposed, kind.filters, of="export")
         if path is not None:

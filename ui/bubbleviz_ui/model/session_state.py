@@ -68,6 +68,11 @@ class SessionState(QObject):
         self.set_playing(playing)
 
     @property
+    def title(self) -> str:
+        """Title of the open source; empty if none is open."""
+        return "" if self.facts is None or self.facts.is_empty else self.facts.title
+
+    @property
     def playhead(self) -> int:
         """Frame to mark on the timeline: while playing the frame drawn, else the cursor."""
         return self.shown_frame if self.playing and not self.frozen else self.frame

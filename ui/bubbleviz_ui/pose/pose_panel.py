@@ -33,7 +33,7 @@ from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import file_to_open, new_file
+from bubbleviz_ui.shell.file_dialogs import file_to_open, name_of_output, new_file
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 if TYPE_CHECKING:
@@ -380,7 +380,8 @@ class PosePanel(QWidget):
             self.start.show_pose(start)  # else keep the angles as typed
 
     def _export(self, form: str) -> None:
-        path, _ = new_file(self, "Export poses", f"poses.{form}", of="export")
+        proposed = name_of_output(self._state.title, f"poses.{form}")
+        path, _ = new_file(self, "Export poses", proposed, of="export")
         if path is None:
             return
         try:

@@ -5,6 +5,7 @@ When saving, the suffix is added before the question whether a file may be repla
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +18,12 @@ from bubbleviz_ui.model.messages import Messages
 
 Answer = Literal["save", "discard", "cancel"]
 SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
+
+
+def name_of_output(title: str, what: str) -> str:
+    """Proposed name of a file made of a source with this title; `what`: as `table.csv`."""
+    stem = re.sub(r"[^\w-]+", "_", Path(title).stem).strip("_")
+    return f"{stem}_{what}" if stem else what
 
 
 def file_to_open(

@@ -30,6 +30,7 @@ from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
     files_to_open,
     folder_to_open,
+    name_of_output,
 )
 from bubbleviz_ui.shell.shortcuts import DYNAMIC
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
@@ -382,14 +383,15 @@ class Menus:
             self._saver.open(path)
 
     def _save_session(self) -> None:
-        proposed = f"session{SESSION_SUFFIX}"
+        proposed = name_of_output(self._window.state.title, f"session{SESSION_SUFFIX}")
         path = file_to_save(self._window, "Save session as", proposed, SESSIONS, of="session")
         if path is not None:
             self._saver.save_as(path)
 
     def _screenshot(self) -> None:
         kinds = "PNG images (*.png)"
-        path = file_to_save(self._window, "Save screenshot", "bubbleviz.png", kinds, of="picture")
+        proposed = name_of_output(self._window.state.title, "window.png")
+        path = file_to_save(self._window, "Save screenshot", proposed, kinds, of="picture")
         if path is not None:
             self._window.save_screenshot(path)
 

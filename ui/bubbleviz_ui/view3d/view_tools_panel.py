@@ -27,7 +27,12 @@ from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.panels.binding import bind, control, form, tool_button
 from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.shell.dock import fill
-from bubbleviz_ui.shell.file_dialogs import file_to_save, picture_format, tell_of_picture
+from bubbleviz_ui.shell.file_dialogs import (
+    file_to_save,
+    name_of_output,
+    picture_format,
+    tell_of_picture,
+)
 from bubbleviz_ui.view3d.object_layers import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -227,7 +232,8 @@ class ViewTools(QWidget):
 
     def _choose_file(self) -> None:
         title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"
-        path = file_to_save(self, title, "view.png", kinds, of="picture")
+        proposed = name_of_output(self._state.title, "view.png")
+        path = file_to_save(self, title, proposed, kinds, of="picture")
         if path is not None:
             self.save_picture(path)
 
