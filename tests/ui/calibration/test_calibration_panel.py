@@ -173,7 +173,7 @@ def test_each_step_shows_name_state_task_and_errors(bench):
     bench.click(panel.next)
     assert [tip.endswith(": done") for tip in tips()] == [True, True] + 5 * [False]
     assert panel.steps.button(1).text() == "2 ✓\nPixels"
-    assert "which pixels" in panel.page.about.text()
+    assert "which pixels" in panel.page.about.text() and panel.next.text() == "Fit the surface"
     before = bench.answer
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
@@ -185,6 +185,7 @@ def test_each_step_shows_name_state_task_and_errors(bench):
     assert tips()[0] == "Contact-free frames: done"
     bench.click(panel.all)
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
+    assert panel.next.text() == "Next: Reference surface"  # computed already
 
 
 def test_another_recording_starts_without_results(bench):

@@ -238,7 +238,9 @@ class CalibrationPanel(QWidget):
         self.next.setVisible(page is not self.report)
         for button in (self.report.use_sensor, self.report.save_as):
             button.setVisible(page is self.report)
-        self.next.setText(following.next_title if started else self.frames.next_title)
+        computed = following.is_done(answer) and not calibration.outdated
+        to_do = following.next_title if started else self.frames.next_title
+        self.next.setText(f"Next: {following.title}" if computed else to_do)
         self.next.setEnabled(not needs_collecting)
         self.back.setEnabled(place > 0)
         self.all.setVisible(reached < Step.TENSION)

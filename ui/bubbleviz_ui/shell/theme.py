@@ -204,7 +204,8 @@ QAbstractSpinBox {{ min-height: 1.35em; }}
 QCheckBox {{ spacing: 8px; padding: 2px; }}
 QCheckBox::indicator, QMenu::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
     border-radius: 3px; background: {c.field}; }}
-QCheckBox::indicator:checked, QMenu::indicator:checked {{ background: {c.accent}; border-color: {c.accent};
+QCheckBox::indicator:checked, QMenu::indicator:checked
+    {{ background: {c.accent}; border-color: {c.accent};
     image: url("{_FOLDER}/{c.tick}"); }}
 QCheckBox:focus {{ color: {c.accent}; }}
 QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
