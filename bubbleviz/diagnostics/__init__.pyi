@@ -14,7 +14,9 @@ from .inspector import (
     Pixel as Pixel,
     Probe as Probe,
     Probed as Probed,
+    Profile as Profile,
     Statistics as Statistics,
     inspection as inspection,
+    profile as profile,
     statistics as statistics,
 )

@@ -268,6 +268,101 @@ class Probe:
         return float(v), float(u)
 
 
+# Profile: heights and contact pressure along a line across the membrane.
+
+
+_PROFILE_SAMPLES = 500  # rays of the camera looked for along a line; pixels are fewer
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Section of the membrane by a plane through two points and parallel to the z axis of B.
+
+    Each curve has its distances `…_along_m` from the first point, across z, ascending.
+    """
+
+    along_m: np.ndarray  # (k,), of the membrane's edges that cross the plane
+    height_m: np.ndarray  # (k,), z of the estimated membrane; NaN without a trusted estimate
+    rest_along_m: np.ndarray  # (r,)
+    rest_height_m: np.ndarray  # (r,), z of the membrane at rest
+    pressure_pa: np.ndarray  # (k,), p_c; NaN without a trusted estimate
+    measured_along_m: np.ndarray  # (m,), of the pixels that see the section
+    measured_height_m: np.ndarray  # (m,), z of their measured points
+
+
+def profile(
+    camera: DepthCamera,
+    mesh: MembraneMesh,
+    result: Result,
+    ends_m: np.ndarray,  # (2, 3), two points in B
+) -> Profile | None:
+    """Profile of a result between two points; None if they are above each other."""
+    start, across = ends_m[0], (ends_m[1] - ends_m[0]) * (1.0, 1.0, 0.0)
+    length = float(np.linalg.norm(across))
+    if not length > 0.0:
+        return None
+    e = across / length
+    estimate = result.trusted_estimate
+    unknown = np.full(len(mesh.nodes), np.nan)
+    pressure = unknown if estimate is None else estimate.contact_pressure_pa
+    rest_along, rest, _ = _section(mesh.nodes, mesh.triangles, start, e, length, unknown)
+    along, height, pressures = rest_along, np.full_like(rest, np.nan), np.full_like(rest, np.nan)
+    if estimate is not None:
+        nodes = mesh.deformed(estimate.motion_m)
+        along, height, pressures = _section(nodes, mesh.triangles, start, e, length, pressure)
+    seen = (along, height) if estimate is not None else (rest_along, rest)
+    measured = _measured(camera, result.frame.depth_m, start, e, *seen)
+    return Profile(along, height, rest_along, rest, pressures, *measured)
+
+
+def _section(
+    nodes_m: np.ndarray,
+    triangles: np.ndarray,
+    start_m: np.ndarray,
+    e: np.ndarray,  # (3,), unit vector across z
+    length_m: float,
+    values: np.ndarray,  # (n,), nodal field
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance along e, z and a nodal field where edges cross the plane of e and z, ascending."""
+    pairs = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    i, j = np.unique(np.sort(pairs, axis=1), axis=0).T
+    off = (nodes_m - start_m) @ np.array([-e[1], e[0], 0.0])
+    crossing = (off[i] > 0.0) != (off[j] > 0.0)
+    i, j = i[crossing], j[crossing]
+    share = off[i] / (off[i] - off[j])
+    points = nodes_m[i] + share[:, None] * (nodes_m[j] - nodes_m[i])
+    value = values[i] + share * (values[j] - values[i])
+    along = (points - start_m) @ e
+    order = np.argsort(along)
+    order = order[(along[order] >= 0.0) & (along[order] <= length_m)]
+    return along[order], points[order, 2], value[order]
+
+
+def _measured(
+    camera: DepthCamera,
+    depth_m: np.ndarray,
+    start_m: np.ndarray,
+    e: np.ndarray,
+    along_m: np.ndarray,
+    height_m: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance along e and z of the measured points of the pixels that see a section."""
+    if not len(along_m):
+        return along_m, height_m
+    at = np.linspace(along_m[0], along_m[-1], _PROFILE_SAMPLES)
+    points = start_m + at[:, None] * e
+    points[:, 2] = np.interp(at, along_m, height_m)
+    column, row = np.round(camera.project(points)).astype(int).T
+    height, width = depth_m.shape
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    pixels = np.unique(row[inside] * width + column[inside])
+    pixels = pixels[depth_m.ravel()[pixels] > 0.0]  # neither 0 nor NaN
+    seen = camera.points(depth_m, pixels)
+    seen_along = (seen - start_m) @ e
+    order = np.argsort(seen_along)
+    return seen_along[order], seen[order, 2]
+
+
 def _met(
     nodes_m: np.ndarray,
     triangles: np.ndarray,

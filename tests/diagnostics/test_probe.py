@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bubbleviz.diagnostics import Probe
+from bubbleviz.diagnostics import Probe, profile
 from bubbleviz.membrane import TriangleScene
 from bubbleviz.pipeline import Pipeline
 
@@ -138,3 +138,59 @@ def test_residual_of_the_pixel_or_of_a_close_one(pipeline):
         for off, expected in zip((0, 3, 5), shown, strict=True):
             found = probe.at_pixel((row, column + off), thinned)
             assert found.residual_m == pytest.approx(expected, nan_ok=True)
+
+
+# -- profile ----------------------------------------------------------------------------------
+
+
+ENDS = np.array([[-0.03, -0.012, 0.05], [0.05, 0.014, 0.04]])
+
+
+def heights(nodes, triangles, along):
+    """z of a surface below places along the line, by rays from above."""
+    across = ENDS[1, :2] - ENDS[0, :2]
+    places = ENDS[0, :2] + along[:, None] * across / np.linalg.norm(across)
+    rays = np.array([[*place, 1.0, 0.0, 0.0, -1.0] for place in places])
+    return 1.0 - TriangleScene(nodes, triangles).cast(rays).distance
+
+
+def test_profile_follows_membrane_pressure_and_measured_points(pipeline, result):
+    mesh, nodes = pipeline.mesh, nodes_of(pipeline, result)
+    found = profile(pipeline.camera, mesh, result, ENDS)
+    assert found is not None and (np.diff(found.along_m) >= 0.0).all()
+    length = np.linalg.norm(np.diff(ENDS[:, :2], axis=0))
+    assert found.along_m[0] < 0.004 and found.along_m[-1] > length - 0.01
+    # away from the crossings, too, as the membrane is straight between them
+    for nodal, along, height in (
+        (nodes, found.along_m, found.height_m),
+        (mesh.nodes, found.rest_along_m, found.rest_height_m),
+    ):
+        places = np.linspace(along[0], along[-1], 101)[1:-1]
+        expected = heights(nodal, mesh.triangles, places)
+        np.testing.assert_allclose(np.interp(places, along, height), expected, atol=1e-6)
+    assert (found.rest_height_m.max() - found.height_m.min()) > 0.01
+    peak = result.estimate.contact_pressure_pa.max()
+    assert 0.3 * peak < found.pressure_pa.max() <= peak
+
+
+def test_measured_points_of_a_profile_lie_on_the_surface_that_was_seen(pipeline, result):
+    """The images have no noise; a pixel is up to 1.3 mm beside the line."""
+    untouched = replace(result, frame=DentSource(SENSOR)[0])
+    lowest = []
+    for shown in (untouched, result):
+        found = profile(pipeline.camera, pipeline.mesh, shown, ENDS)
+        rest = np.interp(found.measured_along_m, found.rest_along_m, found.rest_height_m)
+        assert len(rest) > 15 and (np.diff(found.measured_along_m) >= 0.0).all()
+        lowest.append((found.measured_height_m - rest).min())
+        if shown is untouched:
+            assert np.abs(found.measured_height_m - rest).max() < 1.3e-3
+    assert lowest[1] < -0.01 < -0.002 < lowest[0]
+
+
+def test_profile_without_a_trusted_estimate_has_the_measured_points(pipeline, result):
+    unknown = replace(result, estimate=replace(result.estimate, status="implausible"))
+    found = profile(pipeline.camera, pipeline.mesh, unknown, ENDS)
+    assert np.isnan(found.height_m).all() and np.isnan(found.pressure_pa).all()
+    assert len(found.measured_along_m) > 15
+    above = np.array([ENDS[0], ENDS[0] + (0.0, 0.0, 0.01)])
+    assert profile(pipeline.camera, pipeline.mesh, result, above) is None
