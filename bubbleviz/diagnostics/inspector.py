@@ -281,7 +281,7 @@ class Profile:
     Each curve has its distances `…_along_m` from the first point, across z, ascending.
     """
 
-    along_m: np.ndarray  # (k,), of the membrane's edges that cross the plane
+    along_m: np.ndarray  # (k,), where edges of the membrane cross the plane, and the ends
     height_m: np.ndarray  # (k,), z of the estimated membrane; NaN without a trusted estimate
     rest_along_m: np.ndarray  # (r,)
     rest_height_m: np.ndarray  # (r,), z of the membrane at rest
@@ -323,7 +323,10 @@ def _section(
     length_m: float,
     values: np.ndarray,  # (n,), nodal field
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance along e, z and a nodal field where edges cross the plane of e and z, ascending."""
+    """Distance along e, z and a nodal field where edges cross the plane of e and z, ascending.
+
+    From 0 to the length, with both ends where the surface reaches them.
+    """
     pairs = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
     i, j = np.unique(np.sort(pairs, axis=1), axis=0).T
     off = (nodes_m - start_m) @ np.array([-e[1], e[0], 0.0])
@@ -334,8 +337,12 @@ def _section(
     value = values[i] + share * (values[j] - values[i])
     along = (points - start_m) @ e
     order = np.argsort(along)
-    order = order[(along[order] >= 0.0) & (along[order] <= length_m)]
-    return along[order], points[order, 2], value[order]
+    along, height, value = along[order], points[order, 2], value[order]
+    if not len(along):
+        return along, height, value
+    at = np.unique(np.clip(along, 0.0, length_m))
+    at = at[(at >= along[0]) & (at <= along[-1])]
+    return at, np.interp(at, along, height), np.interp(at, along, value)
 
 
 def _measured(

@@ -36,7 +36,7 @@ def test_check_marks_follow_the_state_and_close_shows_the_sensor_at_rest(drive, 
         assert driver.is_checked("View › Full screen") == driver.window.isFullScreen() == shown
     # those of the tools are those of their panel
     turntable, probe, distance = (
-        f"View › {name}" for name in ("Turntable", "Probe a point", "Measure a distance")
+        f"View › {name}" for name in ("Turntable", "Probe a point", "Measure distance and profile")
     )
     driver.click(tools.turn)
     assert driver.is_checked(turntable) and tools.turntable.turning

@@ -144,7 +144,7 @@ def test_probe_and_distance_by_clicks(drive):
     driver.seek(3)
     driver.window.scene.look_from("top")
     driver.wait_until_shown()
-    driver.trigger("View › Measure a distance")
+    driver.trigger("View › Measure distance and profile")
     ends = [node for node in driver.nodes() if node[2] > 0.045][:2]
     true_m = float(np.linalg.norm(ends[1] - ends[0]))
 
@@ -184,6 +184,34 @@ def test_probe_and_distance_by_clicks(drive):
     driver.click(tools.tools["rotate"])
     driver.wait_until_shown()
     assert driver.count(GREEN)[0] == 0
+
+
+def test_profile_between_two_clicked_points(drive):
+    driver = drive(frame=CONTACT)
+    tools = opened(driver)
+    driver.window.scene.look_from("top")
+    driver.wait_until_shown()
+    assert not tools.profile.isVisible()
+    driver.click(tools.tools["distance"])
+    nodes = driver.nodes()
+    ends = [nodes[np.linalg.norm(nodes[:, :2] - (x, 0.0), axis=1).argmin()] for x in (-0.04, 0.04)]
+    for end in ends:
+        driver.click(driver.window.view, screen_point(driver, end))
+    plot = tools.profile
+    driver.wait(lambda: plot.isVisible() and len(plot.measured.getData()[0]) > 10)
+    along, height = plot.membrane.getData()
+    length = 1e3 * np.linalg.norm(ends[1][:2] - ends[0][:2])
+    assert along[0] == 0.0 and along[-1] == pytest.approx(length, abs=1.0)
+    assert height[[0, -1]] == pytest.approx([1e3 * end[2] for end in ends], abs=1.0)
+    pressed, peak = height.min(), plot.contact.getData()[1].max()
+    assert 0.0 < peak <= 1e-3 * driver.result.estimate.contact_pressure_pa.max()
+    driver.seek(0)
+    assert plot.contact.getData()[1].max() == 0.0
+    untouched = plot.membrane.getData()[1]
+    np.testing.assert_allclose(untouched.max(), plot.rest.getData()[1].max(), atol=0.5)
+    assert pressed < untouched.min() + 1.0
+    driver.key(Qt.Key.Key_Escape)
+    assert not plot.isVisible()
 
 
 def test_section_clips_the_scene_and_clipped_parts_are_not_picked(drive):

@@ -206,8 +206,8 @@ class Menus:
         turn = window.tools.turn
         turntable = self._switch(menu, "T&urntable", "T")
         CheckMark(turntable, turn.isChecked, turn.setChecked, turn.toggled)
-        for tool, title in (("probe", "&Probe a point"), ("distance", "Measure a &distance")):
-            self._tool(menu, tool, title)
+        self._tool(menu, "probe", "&Probe a point")
+        self._tool(menu, "distance", "Measure &distance and profile")
         self._add(menu, "&Clear probe", partial(window.tools.use_tool, "rotate"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
         self._layers(menu.addMenu("&Visible layers"))

@@ -1,10 +1,11 @@
-"""3-D tools panel: viewpoints, probe, distance, section, exaggeration, screenshots."""
+"""3-D tools panel: viewpoints, probe, distance with profile, section, exaggeration, screenshots."""
 
 from __future__ import annotations
 
 from operator import itemgetter
 from pathlib import Path
 
+import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
@@ -34,6 +35,7 @@ from bubbleviz_ui.shell.file_dialogs import (
     tell_of_picture,
 )
 from bubbleviz_ui.view3d.object_layers import ProbeMarks
+from bubbleviz_ui.view3d.profile_plot import ProfilePlot
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.text import AnchoredText
@@ -45,7 +47,11 @@ VIEWS: dict[Viewpoint, str] = {
 TOOLS = {
     "rotate": ("Rotate", "Drag to rotate the scene, wheel to zoom"),
     "probe": ("Probe", "Click on the membrane or a measured point to show its numbers until Esc"),
-    "distance": ("Distance", "Click on two points; a third starts again"),
+    "distance": (
+        "Distance",
+        "Click on two points: their distance, and a profile of height and pressure between them; a "
+        "third starts again",
+    ),
 }
 HINTS = {
     "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
@@ -70,6 +76,7 @@ class ViewTools(QWidget):
         self.distance = Distance(view)
         self.turntable = Turntable(view)
         self.picked = Hover(controller)
+        self.profile = ProfilePlot(state, controller)
         self._marks, self._text = ProbeMarks(view), AnchoredText(view, state.units)
         self._extent_m = 0.1
         self._make_buttons()
@@ -121,6 +128,7 @@ class ViewTools(QWidget):
             _row(*self.views.values()),
             _row(*self.tools.values(), self.turn),
             *self.reading,
+            self.profile,
             rows,
             1,
             margins=(8, 10, 4, 10),
@@ -200,6 +208,7 @@ class ViewTools(QWidget):
             lines = ("Click on the other point", "", "")
         for label, line in zip(self.reading, lines, strict=True):
             label.setText(line)
+        self.profile.show_line(None if length_m is None else np.array(ends))
 
     # -- settings -----------------------------------------------------------------------------
 
