@@ -53,6 +53,7 @@ from bubbleviz_ui.panels.plot_host import PlotHost, import_plots
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.second_membrane import SecondMembrane
 from bubbleviz_ui.panels.status_bar import PerformancePopup, StatusBar
+from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
@@ -229,6 +230,10 @@ class MainWindow(QMainWindow):
         from bubbleviz_ui.shell.text_dialogs import InformationDialog  # not at start
 
         InformationDialog(self, self.controller, self._reading).open()
+
+    def show_contacts(self) -> None:
+        """Show a list of all contacts."""
+        ContactsDialog(self, self.state).show()
 
     def show_pages(self) -> None:
         """Show the documentation."""

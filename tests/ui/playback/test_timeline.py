@@ -15,6 +15,7 @@ from bubbleviz.recordings import Gap, TimeAxis
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, FrameHistory
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.playback.player import PlayClock
 from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
 from bubbleviz_ui.shell import theme
@@ -30,6 +31,39 @@ def at(timeline, frame, y=BELOW):
 def drag(driver, first, last, y):
     timeline = driver.window.playback.timeline
     driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
+
+
+def test_contacts_are_listed_and_clicked(drive):
+    driver = drive(DentSource)
+    driver.trigger("Playback › Contacts")
+    dialog = driver.window.findChild(ContactsDialog)
+    table = dialog.table
+    driver.pass_by(range(FRAMES - 2))
+    driver.wait(lambda: table.rowCount() == 1 and "2 frames" in dialog.note.text())
+    driver.window.controller.analysis.start()
+    driver.wait(lambda: not dialog.note.isVisible())
+    force = driver.state.history.values["force_n"]
+    pressed, times = np.flatnonzero(force > 0.0), driver.state.facts.times_s
+    first, last, largest = pressed[0], pressed[-1], int(force.argmax())
+    assert [table.item(0, column).text() for column in range(table.columnCount())] == [
+        f"{times[first]:.3f} s",
+        f"{times[last] - times[first]:.3f} s",
+        f"{first}–{last}",
+        f"{force[largest]:.2f} N in frame {largest}",
+    ]
+    place = table.visualItemRect(table.item(0, 2)).center()
+    driver.click(table.viewport(), place)
+    assert driver.state.frame == largest
+    dialog.close()
+
+
+def test_contacts_are_parted_by_frames_without_contact_alone():
+    history = FrameHistory(12)
+    history.contact[:] = [0, 1, 1, -1, 1, 0, 0, 2, 1, 2, 1, -1]
+    history.values["force_n"][:] = [0, 1, 3, np.nan, 2, 0, 0, 9, 4, 9, 5, np.nan]
+    found = [(each.first, each.last, each.largest, each.force_n) for each in history.contacts()]
+    assert found == [(1, 4, 2, 3.0), (8, 10, 10, 5.0)]
+    assert FrameHistory(3).contacts() == ()
 
 
 def test_contact_shading_seeking_and_range_by_clicks_and_drags(drive, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -64,6 +65,16 @@ class Extremes:
             self._peaks_pa[frame] = known.peak_pa
             highest = sorted(self._peaks_pa, key=self._peaks_pa.__getitem__)[-1 - OUTLIERS :]
             self._peaks_pa = {frame: self._peaks_pa[frame] for frame in highest}
+
+
+@dataclass(frozen=True)
+class ContactPeriod:
+    """Frames in contact between two without; others in between are unknown or not trusted."""
+
+    first: int
+    last: int
+    largest: int  # Frame of the largest force
+    force_n: float  # In that frame
 
 
 class FrameHistory:
@@ -155,6 +166,18 @@ class FrameHistory:
         begins = np.flatnonzero(wanted & ~np.concatenate([[False], wanted[:-1]]))
         found = begins[begins > frame][:1] if direction > 0 else begins[begins < frame][-1:]
         return int(found[0]) if found.size else None
+
+    def contacts(self) -> tuple[ContactPeriod, ...]:
+        """Contacts in the computed frames, in order."""
+        known = np.flatnonzero((self.contact == CONTACT) | (self.contact == FREE))
+        touched = np.concatenate([[False], self.contact[known] == CONTACT, [False]])
+        force, found = self.values["force_n"], list[ContactPeriod]()
+        for begin, end in np.flatnonzero(touched[1:] != touched[:-1]).reshape(-1, 2):
+            frames = known[begin:end]
+            largest = int(frames[np.argmax(force[frames])])
+            period = int(frames[0]), int(frames[-1]), largest, float(force[largest])
+            found.append(ContactPeriod(*period))
+        return tuple(found)
 
     def largest_force(self) -> int | None:
         """Computed frame with the largest force; None if there is no contact."""

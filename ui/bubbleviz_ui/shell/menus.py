@@ -143,6 +143,7 @@ class Menus:
                 seek = partial(self._seek_start, kind, direction)
                 self._add(menu, title.format(which), seek, key + end)
         self._add(menu, "Largest force", self._seek_largest_force, "Ctrl+Home")
+        self._add(menu, "&Contacts…", self._window.show_contacts)
         self._add(menu, "Analyse all frames", self._window.controller.analysis.start)
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
