@@ -215,6 +215,15 @@ class PressureZero:
         self._followed[contact] += 1
         self.frozen = not self._changed and min(self._followed) >= ZERO_FRAMES
 
+    def frozen_warning(self, where: str) -> str:
+        """Warning about a sensor in a recording or source that repeats one value; else empty."""
+        if not self.frozen:
+            return ""
+        return (
+            f"the gas pressure in the {where} never changes, not even by contact, so it is not "
+            "used and forces are less certain; check the pressure sensor"
+        )
+
     def take(self, pressures_pa: Sequence[float]) -> None:
         """Compute the zero from the measured pressures of contact-free frames, Pa."""
         self.offset_pa = float(np.median(pressures_pa)) - self.reference_pa

@@ -356,11 +356,7 @@ class FrameSolver:
         """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
         known_pa, zero = self.pipeline.model.gas.P0, self.zeros.gas
         if zero is not None and zero.frozen:
-            said = (
-                f"the gas pressure in the {where} never changes, not even by contact, so it is not "
-                "used and forces are less certain; check the pressure sensor"
-            )
-            gas = said if self._touched else ""
+            gas = zero.frozen_warning(where) if self._touched else ""
         elif zero is None or zero.rest_pa is None:
             gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
         else:

@@ -1,10 +1,16 @@
 """Gas pressure zero of a live sensor: learning, renewal, another sensor file, warnings."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from fakes import FRAMES, DentSource, record, small_sensor
 from live_bench import connected_bench, sensor_file
 from PySide6.QtCore import Qt
 from window_driver import CTRL, SHIFT
+
+from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.zeros import ZERO_FRAMES
+from bubbleviz_ui.live.connection import single
 
 
 def counts(live):
@@ -36,6 +42,21 @@ def test_gas_zero_is_renewed_on_request_and_adapted_to_another_sensor_file(open_
     # else its gauge pressure would appear as contact, or hide it, until zeroed
     with_gauge(live, 3585.5)
     assert "gas zero -750 Pa, waiting for contact-free frames" in counts(live)
+
+
+def test_warning_of_a_gas_pressure_that_never_changes(open_bench):
+    live = open_bench()
+    dent = DentSource(small_sensor())
+    shown = [dent[0]] * 2 * ZERO_FRAMES + [dent[FRAMES - 1]] * 2 * ZERO_FRAMES
+    frames = (
+        replace(frame, index=k, time_s=k / 30.0, gas_pressure_pa=104_000.0)
+        for k, frame in enumerate(shown)
+    )
+    path = record(live.folder / "frozen.mcap", frames)
+    file = live.folder / "small.toml"
+    file.write_text(sensor_to_toml(small_sensor()), encoding="utf-8")
+    live.live_controller.connect_to(single(f"replay:{path}?loop=true", str(file)))
+    live.wait_for_message("gas pressure in the source never changes", "check the pressure sensor")
 
 
 def test_warning_if_gas_pressure_at_rest_contradicts_the_sensor_file(open_bench):

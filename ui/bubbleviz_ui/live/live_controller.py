@@ -185,11 +185,14 @@ class LiveController(QObject):
         self.updated.emit()
 
     def _warn(self) -> None:
-        """Warn once per sensor whose gas pressure at rest contradicts its file."""
+        """Warn once per sensor whose gas pressure contradicts its file, or never changes."""
         sensors = () if self.run is None else self.run.session.sensors
         found: set[str] = set()
         for live in sensors:
-            text = gas_warning(live.zero.rest_pa, live.zero.reference_pa, "without contact")
+            zero = live.zero
+            text = zero.frozen_warning("source") or gas_warning(
+                zero.rest_pa, zero.reference_pa, "without contact"
+            )
             if text:
                 found.add(f"{live.place.name}: {text}." if len(sensors) > 1 else f"{text}.")
         for text in sorted(found - self._warnings):
