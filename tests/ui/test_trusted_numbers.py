@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
@@ -70,6 +71,13 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     np.testing.assert_allclose(values[:FIRST_CONTACT], 0.0, atol=1e-9)
     np.testing.assert_allclose(values[FIRST_CONTACT:], 2.0)
     driver.wait(lambda: "wrench 2.00 N" in heading(driver))
+    # and the estimate over it, with a mark at the frame shown
+    window.plots.boxes["wrench"].trigger()
+    scatter = window.plots.wrench
+    driver.wait(lambda: len(scatter.dots.getData()[0]) == FRAMES)
+    known = driver.state.history.values["force_n"]
+    np.testing.assert_allclose(scatter.dots.getData(), (values, known), atol=1e-9)
+    assert scatter.here.getData()[1] == pytest.approx(known[PRESSED])
     # rubber and linear are compared side by side
     driver.show("compare")
     driver.window.panels["compare"].raise_()

@@ -158,6 +158,7 @@ class PlotKind:
 PLOTS: Mapping[str, PlotKind] = MappingProxyType(
     {
         "force": PlotKind("Force", PATCH),
+        "wrench": PlotKind("Force over wrench", PATCH),
         "gas": PlotKind("Gas pressure change p_v", ESTIMATE),
         "area": PlotKind("Patch area", PATCH),
         "center": PlotKind("Centre of pressure", PATCH),

@@ -10,11 +10,13 @@ from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
+from bubbleviz_ui.panels.wrench_plot import WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell.dock import fill, scrolled
 
@@ -43,6 +45,7 @@ class PlotsPanel(QWidget):
         self._hovered: tuple[str, float] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
+        self.wrench: WrenchPlot | None = None
         self.choose, self.boxes = menu_button(state, "plots")
         self.analyse = QPushButton("Analyse all frames")
         self.analyse.setToolTip("Compute these plots for all frames, in the background")
@@ -161,17 +164,17 @@ class PlotsPanel(QWidget):
             self.plots[name] = plot = TimePlot(trace)
             plot.box.sigXRangeChanged.connect(self._draw_soon)
             plot.cursor.sigDragged.connect(self._on_dragged)
-        self.kappa = KappaPlot()
+        self.kappa, self.wrench = KappaPlot(), WrenchPlot()
         self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
         self._host.canvas.scene().sigMouseClicked.connect(self._on_click)
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         self._host.canvas.installEventFilter(self)
         self._show_all_time()
-        return [*self.plots.values(), self.kappa]
+        return [*self.plots.values(), self.kappa, self.wrench]
 
     def _shown(self) -> list[Any]:
-        everything: dict[str, Any] = {**self.plots, "kappa": self.kappa}
-        return [plot for name, plot in everything.items() if name in self._state.settings.plots]
+        made: dict[str, Any] = {**self.plots, "kappa": self.kappa, "wrench": self.wrench}
+        return [made[name] for name in PLOTS if name in self._state.settings.plots]
 
     def _arrange(self) -> None:
         """Arrange the chosen plots in a grid."""
@@ -201,6 +204,8 @@ class PlotsPanel(QWidget):
             if name in self._state.settings.plots:
                 plot.draw(facts, self._state.history, self._state.units)
                 plot.draw_other(self._aligned, self._state.units)
+        if self.wrench is not None and "wrench" in self._state.settings.plots:
+            self.wrench.draw(self._state.history, self._state.units)
         self._draw_cursor()
         self._show_statistics()
 
@@ -217,6 +222,8 @@ class PlotsPanel(QWidget):
         for name, plot in self.plots.items():
             if name in self._state.settings.plots:
                 plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
+        if self.wrench is not None and "wrench" in self._state.settings.plots:
+            self.wrench.show_cursor(frame)
         if self._hovered is not None:
             name, time_s = self._hovered
             frame = _nearest(facts.times_s, time_s)

@@ -1,0 +1,53 @@
+"""Plot of the estimated force over the force of a wrench sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+from PySide6.QtGui import QColor
+
+from bubbleviz_ui.model.frame_history import MEASURED_FORCE, FrameHistory
+from bubbleviz_ui.model.registry import PLOTS
+from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.plot_host import PlotFrame
+from bubbleviz_ui.shell.theme import BLUE, ORANGE
+
+DOT, RING = 4, 9
+"""Sizes of a frame and of the mark around the one at the cursor, px."""
+
+
+class WrenchPlot:
+    """Each computed frame as a point; on the line both forces are equal."""
+
+    def __init__(self) -> None:
+        import pyqtgraph as pg  # 0.2 s later than the window
+
+        self.frame = PlotFrame("number")
+        self.box = self.frame.box
+        self.dots = pg.ScatterPlotItem(size=DOT, brush=BLUE, pen=None)
+        self.here = pg.ScatterPlotItem(size=RING, brush=None, pen=ORANGE)
+        self._forces = np.empty((2, 0))  # (2, F), measured and estimated, as drawn
+        self._equal = pg.InfiniteLine(angle=45)
+        self.box.addItem(self._equal, ignoreBounds=True)
+        for item in (self.dots, self.here):
+            self.box.addItem(item)
+
+    def draw(self, history: FrameHistory, units: Units) -> None:
+        """Draw the frames with both forces, in the chosen unit."""
+        unit = units.force
+        measured = unit.per_si * history.quantity(MEASURED_FORCE)
+        estimated = unit.per_si * history.quantity("force_n")
+        both = np.isfinite(measured) & np.isfinite(estimated)
+        self.dots.setData(measured[both], estimated[both])
+        self._forces = np.where(both, [measured, estimated], np.nan)
+        note = "" if np.isfinite(measured).any() else ": no wrench measured"
+        self.frame.write(f"{PLOTS['wrench'].title} ({unit.symbol}){note}")
+
+    def show_cursor(self, frame: int) -> None:
+        """Mark a frame, if it has both forces."""
+        at = self._forces[:, frame : frame + 1]
+        self.here.setData(*at[:, np.isfinite(at[0])])
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Apply the theme's colours."""
+        self.frame.paint(dim, text)
+        self._equal.setPen(dim)
