@@ -1,7 +1,7 @@
 """What a recording has in it, and the documentation, in the window."""
 
 from fakes import DentSource
-from PySide6.QtCore import QUrl
+from PySide6.QtCore import Qt, QUrl
 from small_press import write_press
 from window_driver import clipboard_text
 
@@ -39,4 +39,20 @@ def test_information_and_documentation_dialogs(drive, sensor, tmp_path):
     assert "First press" in dialog.page.toPlainText()
     driver.click(dialog.back)
     assert dialog.page.source().fileName() == "index.md"
+    # search through all pages, from place to place and around
+    driver.type(dialog.search, "PRE-stretch")
+    seen = list[tuple[str, int]]()
+    while (place := at(dialog.page)) not in seen:
+        seen.append(place)
+        assert dialog.page.textCursor().selectedText().lower() == "pre-stretch"
+        driver.bot.keyClick(dialog.search, Qt.Key.Key_Return)
+    assert "glossary.md" in {name for name, _ in seen} and len(seen) > 2
+    assert not dialog.missed.text()
+    driver.type(dialog.search, "no page has this")
+    assert dialog.missed.text() == "not found"
     dialog.close()
+
+
+def at(page):
+    """Page and position of the selected text."""
+    return page.source().fileName(), page.textCursor().selectionStart()

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import Qt, QUrl
-from PySide6.QtGui import QFontDatabase
+from PySide6.QtGui import QFontDatabase, QTextCursor
 from PySide6.QtWidgets import (
     QApplication,
     QDialog,
     QHBoxLayout,
+    QLabel,
+    QLineEdit,
     QPlainTextEdit,
     QPushButton,
     QTextBrowser,
@@ -104,6 +106,7 @@ class PagesDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Documentation")
+        self._files = sorted(folder.rglob("*.md"))
         self.resize(*PAGES_SIZE)
         self.page = QTextBrowser()
         self.page.setOpenExternalLinks(True)
@@ -115,5 +118,28 @@ class PagesDialog(QDialog):
         self.home.clicked.connect(self.page.home)
         self.back.clicked.connect(self.page.backward)
         self.page.backwardAvailable.connect(self.back.setEnabled)
-        fill(QVBoxLayout(self), fill(QHBoxLayout(), self.home, self.back, 1), (self.page, 1))
+        self.search, self.missed = QLineEdit(placeholderText="Search all pages"), QLabel()
+        self.search.setToolTip("Enter shows the next place with this text")
+        self.search.returnPressed.connect(self._find_next)
+        for button in (self.home, self.back):
+            button.setAutoDefault(False)  # Enter searches
+        row = fill(QHBoxLayout(), self.home, self.back, (self.search, 1), self.missed)
+        fill(QVBoxLayout(self), row, (self.page, 1))
         self.page.setSource(QUrl.fromLocalFile(str(folder / HOME)))
+        self.search.setFocus()
+
+    def _find_next(self) -> None:
+        """Select the next place with the text: in this page, else in the others."""
+        text = self.search.text()
+        self.missed.clear()
+        if not text or self.page.find(text):
+            return
+        shown = self.page.source().fileName()
+        at = next((k for k, path in enumerate(self._files) if path.name == shown), -1)
+        for path in (*self._files[at + 1 :], *self._files[: at + 1]):
+            if text.casefold() in path.read_text(encoding="utf-8").casefold():
+                self.page.setSource(QUrl.fromLocalFile(str(path)))
+                self.page.moveCursor(QTextCursor.MoveOperation.Start)
+                if self.page.find(text):  # else it is only in the address of a link
+                    return
+        self.missed.setText("not found")
