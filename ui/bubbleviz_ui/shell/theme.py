@@ -174,7 +174,7 @@ def style_sheet(c: Colours) -> str:
     """
     return f"""
 QMenu::item:selected, QMenuBar::item:selected {{ background: {c.hover}; color: {c.text}; }}
-QMenu::item {{ padding: 3px 24px 3px 12px; }}
+QMenu::item {{ padding: 3px 24px 3px 16px; }}
 QMenu::indicator {{ left: 8px; }}
 QMenu::indicator:exclusive {{ border-radius: 7px; }}
 QMenu::separator {{ height: 1px; background: {c.outline}; margin: 3px 8px; }}
