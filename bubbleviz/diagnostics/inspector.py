@@ -327,8 +327,7 @@ def _section(
 
     From 0 to the length, with both ends where the surface reaches them.
     """
-    pairs = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
-    i, j = np.unique(np.sort(pairs, axis=1), axis=0).T
+    i, j = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     off = (nodes_m - start_m) @ np.array([-e[1], e[0], 0.0])
     crossing = (off[i] > 0.0) != (off[j] > 0.0)
     i, j = i[crossing], j[crossing]
