@@ -118,6 +118,14 @@ def poses(sensor: Sensor, quick: bool, seed: int, parts: Path | None) -> list[St
 
 
 @_command
+def dragged(quick: bool) -> list[Study]:
+    """Tracked poses of objects that rubber of another solver sticks to, dragged and twisted."""
+    from benchmarks.pose_dragged import Grid, dragged_study
+
+    return [dragged_study(Grid(noises_m=(1.5e-4,), seeds=1, every=4) if quick else Grid())]
+
+
+@_command
 def faults(quick: bool, seed: int, parts: Path | None) -> list[Study]:
     """Random errors of pressure, depth and camera: rate of wrong forces without a warning."""
     from benchmarks.faults import faults_study

@@ -19,7 +19,7 @@ GAUGE_PA, ATMOSPHERE_PA = 5_258.0, 101_325.0
 GAS_NOISE_PA = 2.0
 
 
-def rubber_truth(name):
+def rubber_truth(name: str) -> dict[str, np.ndarray]:
     """Arrays of `name`.npz, in float64; skips the test where this machine does not have it."""
     path = FOLDER / f"{name}.npz"
     if not path.is_file():
@@ -30,7 +30,7 @@ def rubber_truth(name):
     return arrays | {key: each.astype(np.float64) for key, each in single.items()}
 
 
-def camera_of(width=320, focal_px=215.0, z_m=-0.052):
+def camera_of(width: int = 320, focal_px: float = 215.0, z_m: float = -0.052) -> Camera:
     """A 4:3 camera on the axis that looks along +z."""
     height = 3 * width // 4
     return Camera(
@@ -44,7 +44,12 @@ def camera_of(width=320, focal_px=215.0, z_m=-0.052):
     )
 
 
-def dome_sensor(camera=None, gauge_pa=GAUGE_PA, atmosphere_pa=ATMOSPHERE_PA, chamber_m3=2e-4):
+def dome_sensor(
+    camera: Camera | None = None,
+    gauge_pa: float = GAUGE_PA,
+    atmosphere_pa: float = ATMOSPHERE_PA,
+    chamber_m3: float = 2e-4,
+) -> Sensor:
     """Sensor of `rubber_truth` as drawn, with true gauge and atmospheric pressure."""
     return Sensor(
         name="moulded dome",
@@ -83,14 +88,14 @@ class Renders:
     seed: int
 
     @property
-    def times_s(self):
+    def times_s(self) -> np.ndarray:
         """Of frames at 30 Hz."""
         return np.arange(len(self)) / 30.0
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.range_m)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int) -> Frame:
         if not 0 <= index < len(self):
             raise IndexError(index)
         depth = self.camera.depth_image(self.range_m[index])
@@ -99,22 +104,22 @@ class Renders:
         image = (depth + self.noise_m * noise).astype(np.float32)
         return Frame(index, float(self.times_s[index]), image, self.camera.intrinsics, gas)
 
-    def close(self):
+    def close(self) -> None:
         pass
 
 
 def render(
-    name,
-    camera,
-    nodes_m,
-    triangles,
-    gauge_pa,
+    name: str,
+    camera: Camera,
+    nodes_m: np.ndarray,
+    triangles: np.ndarray,
+    gauge_pa: np.ndarray | float | None,
     *,
-    noise_m=1e-4,
-    gas_noise_pa=GAS_NOISE_PA,
-    atmosphere_pa=ATMOSPHERE_PA,
-    seed=0,
-):
+    noise_m: float = 1e-4,
+    gas_noise_pa: float = GAS_NOISE_PA,
+    atmosphere_pa: float = ATMOSPHERE_PA,
+    seed: int = 0,
+) -> Renders:
     """Frames of shapes (F, n, 3); for F frames of one shape give `np.repeat(shape[None], F, 0)`.
 
     `gauge_pa` of each frame, (F,), or of all; None where no gas pressure is recorded.
@@ -134,6 +139,6 @@ def render(
     return Renders(name, depth_camera, np.stack(ranges), gas, noise_m, seed)
 
 
-def at_rest(shape_m, frames=30):
+def at_rest(shape_m: np.ndarray, frames: int = 30) -> np.ndarray:
     """So many frames of one shape (n, 3), (F, n, 3)."""
     return np.repeat(shape_m[None], frames, axis=0)

@@ -1,0 +1,31 @@
+"""Poses of dragged objects: of known rows, and of a few frames."""
+
+import pytest
+
+from benchmarks.pose_dragged import DraggedRow, Grid, dragged_study, points, report_of
+from tests.rubber_renders import rubber_truth
+
+
+def test_targets_of_known_rows():
+    good = DraggedRow("ball", 5e-5, 0, 3, "ok", 1e-4, 0.01, 0.5)
+    wide, lost = (
+        DraggedRow("ball", 5e-5, 0, 4, "ok", 4e-4, 0.0, 1.5),
+        DraggedRow("ball", 5e-5, 0, 5, "lost"),
+    )
+    assert all(target.met for target in report_of([good]).targets)
+    (one,) = points([good, good, wide])
+    assert one["error_m"] == pytest.approx(1e-4)
+    assert one["error_m_worst"] == pytest.approx(4e-4)
+    assert one["covered"] == pytest.approx(2 / 3)
+    met = [target.met for target in report_of([good, good, wide]).targets]
+    assert met == [True, False, True, False]
+    assert not report_of([good, lost]).targets[0].met
+
+
+@pytest.mark.long
+def test_a_dragged_ball_is_where_it_is():
+    rubber_truth("ball_drag1")  # skips without it
+    grid = Grid(("ball_drag1",), (1.5e-4,), seeds=1, every=6, camera_px=320)
+    (track,) = [dragged_study(grid).run().rows]
+    assert len(track) >= 3
+    assert all(row.status == "ok" and row.error_m < 3e-4 for row in track)
