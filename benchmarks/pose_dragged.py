@@ -171,8 +171,12 @@ class _Bench:
                 true = metrics.touching(mesh, np.zeros_like(nodes), touching, poses[number])
                 off = metrics.errors(T, true)
                 distance2 = _distance2(T, poses[number], pose.covariance, pose.center_m, axes)
+                ball = len(axes) == 3  # whose centre is determined, all of it
                 row = replace(
-                    row, error_m=off.error_m, error_rad=off.error_rad, distance2=distance2
+                    row,
+                    error_m=off.whole_m if ball else off.error_m,
+                    error_rad=off.whole_rad if ball else off.error_rad,
+                    distance2=distance2,
                 )
             found.append(row)
         return found

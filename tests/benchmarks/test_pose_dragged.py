@@ -28,4 +28,4 @@ def test_a_dragged_ball_is_where_it_is():
     grid = Grid(("ball_drag1",), (1.5e-4,), seeds=1, every=6, camera_px=320)
     (track,) = [dragged_study(grid).run().rows]
     assert len(track) >= 3
-    assert all(row.status == "ok" and row.error_m < 3e-4 for row in track)
+    assert all(row.status == "ok" and row.error_m < 4e-4 for row in track)
