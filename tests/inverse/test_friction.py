@@ -84,7 +84,7 @@ def test_prior_of_friction_is_as_wide_as_the_frame_says():
     assert np.square(errors).sum() < 0.6 * np.square(wide_errors).sum()
 
 
-@pytest.mark.parametrize("name", ["sphere", "puck"])
+@pytest.mark.parametrize("name", ["sphere", pytest.param("puck", marks=pytest.mark.long)])
 def test_noise_is_not_taken_for_friction(name):
     """Presses without friction at 1 % of noise; the ground truth is on a separate mesh."""
     truth, eyes = press(name, 0.004)[0].moved(Motion(np.zeros(3))), Eyes(1000)
