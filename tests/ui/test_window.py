@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from fakes import DentSource, record, small_sensor
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import QEvent, QObject, QPoint, Qt
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from window_driver import CONTACT, text_actors, turn_wheel
+from window_driver import CONTACT, LEFT, clipped_labels, text_actors, turn_wheel
 
 import bubbleviz
 from bubbleviz.sensor import Membrane
@@ -431,3 +431,25 @@ def said(window):
     shown = [*window.findChildren(QLabel), *window.findChildren(QAbstractButton)]
     texts = {each.text() for each in [*shown, *window.findChildren(QAction)]}
     return texts | {widget.toolTip() for widget in window.findChildren(QWidget)}
+
+
+class LayoutRequests(QObject):
+    """Counts how often a widget is asked to lay its children out."""
+
+    count = 0
+
+    def eventFilter(self, _, event):
+        self.count += event.type() == QEvent.Type.LayoutRequest
+        return False
+
+
+def test_numbers_of_a_frame_lay_out_nothing_unless_they_need_more_room(drive):
+    driver = drive(frame=CONTACT)
+    status, requests = driver.window.status, LayoutRequests()
+    status.installEventFilter(requests)
+    text = status.labels["force"].text()
+    for frame in range(CONTACT + 1, CONTACT + 5):
+        driver.seek(frame)
+    assert status.labels["force"].text() != text and requests.count == 0
+    status.labels["force"].setText("8" * 40)
+    driver.wait(lambda: requests.count > 0 and not clipped_labels(status))

@@ -24,7 +24,7 @@ from bubbleviz_ui.model.registry import LAYERS, RESULT_PANELS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text, friction_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
-from bubbleviz_ui.shell.dock import Elided, fill
+from bubbleviz_ui.shell.dock import Elided, Steady, fill
 from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.view3d.render_view import View
 
@@ -113,7 +113,11 @@ class StatusBar(QStatusBar):
         """Make each label as wide as its longest text in the current units."""
         for name, text in widest_texts(self._units).items():
             label = self.labels[name]
-            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(text) + 6)
+            width = label.fontMetrics().horizontalAdvance(text) + 6
+            if isinstance(label, Steady):
+                label.fix_width(width)
+            else:
+                label.setMinimumWidth(width)
         self._fit()
 
     def show_source(self, facts: SourceFacts, sensor: str) -> None:
@@ -207,7 +211,7 @@ class StatusBar(QStatusBar):
 
     def _label(self, name: str) -> QLabel:
         middle = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file
-        label = Elided(middle) if name == "sensor" else QLabel()
+        label = Elided(middle) if name == "sensor" else Steady()
         label.setObjectName(f"status_{name}")
         label.setToolTip(TIPS[name])
         label.setAlignment(Qt.AlignmentFlag.AlignCenter)

@@ -8,7 +8,6 @@ from PySide6.QtCore import Qt, QTimer
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
-    QLabel,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -20,7 +19,7 @@ from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.panels.binding import bind, control, tool_button
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import Steady, fill
 
 PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
@@ -63,7 +62,7 @@ class PlaybackPanel(QWidget):
         self._timeline_timer.timeout.connect(lambda: self.timeline.update())
         self.range_strip = RangeStrip()
         self.range_strip.hide()
-        self.readout = QLabel()
+        self.readout = Steady()
         self.speed, self.mode = control(state, "speed"), control(state, "every_frame")
         self.loop, self.mark, self.freeze = (
             tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
@@ -134,7 +133,7 @@ class PlaybackPanel(QWidget):
         if facts is not None:
             live = facts.live
             widest = self._text(facts.frames - 1)
-            self.readout.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest) + 4)
+            self.readout.fix_width(self.fontMetrics().horizontalAdvance(widest) + 4)
         self.freeze.setVisible(live and not self._state.frozen)
         self.go_live.setVisible(live and self._state.frozen)
         self._fit()

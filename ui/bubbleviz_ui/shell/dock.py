@@ -415,6 +415,23 @@ def _height(item: QLayoutItem, width: int) -> int:
     return item.heightForWidth(width) if item.hasHeightForWidth() else item.sizeHint().height()
 
 
+class Steady(QLabel):
+    """Label of a number of each frame: of a fixed size, as Qt lays the window out for any other.
+
+    A text that needs more room still gets it.
+    """
+
+    def setText(self, text: str) -> None:
+        """Show a text."""
+        super().setText(text)
+        if self.sizeHint().width() > self.minimumWidth():
+            self.fix_width(self.sizeHint().width())
+
+    def fix_width(self, width: int) -> None:
+        """Have this width until a text needs more, screen pixels."""
+        self.setFixedSize(width, self.sizeHint().height())
+
+
 class Elided(QLabel):
     """A label that elides its text.
 
