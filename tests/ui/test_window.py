@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from window_driver import CONTACT, LEFT, clipped_labels, text_actors, turn_wheel
+from window_driver import CONTACT, clipped_labels, text_actors, turn_wheel
 
 import bubbleviz
 from bubbleviz.sensor import Membrane

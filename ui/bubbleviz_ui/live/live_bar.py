@@ -303,7 +303,7 @@ class LiveBar(QFrame):
     def _zero_text(self) -> str:
         sensor = self._live.sensor
         if sensor is None or (sensor.zero.waiting and sensor.zero.offset_pa is None):
-            return "gas zero unknown: waiting for contact-free frames"
+            return "gas zero unknown: no contact-free frames yet"
         offset = self._units.gas_pressure.text(sensor.zero.offset_pa, signed=True)
         return f"gas zero {offset}" + (
             ", waiting for contact-free frames" if sensor.zero.waiting else ""
