@@ -29,7 +29,7 @@ from bubbleviz.inverse import (
     mesh_limits,
     without_small,
 )
-from bubbleviz.membrane import build_rubber, film_deviation, rest_stress, varied_rubber
+from bubbleviz.membrane import build_rubber, constant_tension_deviation, rest_stress, varied_rubber
 from bubbleviz.plugins import plugin, plugin_names
 from bubbleviz.recordings import Frame, FrameColour, Texture
 from bubbleviz.result import Estimate, Patch, Result
@@ -132,7 +132,7 @@ class Pipeline:
             material = model.sensor, model.mesh, tension, self.options.rim_slack_m, stress
             rubber, varied = build_rubber(*material), varied_rubber(*material)
             return Estimator(observer, RubberBubble(rubber, model.gas, varied), self.options)
-        unsure = film_deviation(model.sensor, model.tension_n_per_m)
+        unsure = constant_tension_deviation(model.sensor, model.tension_n_per_m)
         film = ConstantTension(model.mesh, model.tension_n_per_m, model.gas, unsure)
         if self.options.solver == PAPER:
             from bubbleviz.inverse import PaperEstimator  # only needed here

@@ -221,18 +221,18 @@ def _rectification(found: Identification) -> dict[str, Any]:
 
 def _rubber(found: Identification) -> dict[str, Any]:
     """λ and gauge pressure with intervals and sources, SI units, ready for JSON."""
-    rubber = found.material
-    gauge = rubber.gauge if found.vented or rubber.gauge_candidates else None
-    fitted = np.isfinite(rubber.unexplained_rms_m)
+    material = found.material
+    gauge = material.gauge if found.vented or material.gauge_candidates else None
+    fitted = np.isfinite(material.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
-        "prestretch": rubber.prestretch and asdict(rubber.prestretch),
-        "prestretch_from": rubber.prestretch and rubber.prestretch.source,
-        "why_not_determined": rubber.why_not or None,
+        "prestretch": material.prestretch and asdict(material.prestretch),
+        "prestretch_from": material.prestretch and material.prestretch.source,
+        "why_not_determined": material.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge),
-        "gauge_from": rubber.gauge.source,
-        "from": rubber.shapes_kind if fitted else None,
-        "levels": {name: getattr(rubber, name) for name in names} if fitted else None,
+        "gauge_from": material.gauge.source,
+        "from": material.shapes_kind if fitted else None,
+        "levels": {name: getattr(material, name) for name in names} if fitted else None,
     }
 
 

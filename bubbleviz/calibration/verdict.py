@@ -177,14 +177,14 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         "surface": "uncover the whole dome, rim included (largest error: shape that is hidden or "
         "too fine for the fit)",
     }[part]
-    λ = Parameter("λ", "not determined", material.why_not, _LEVELS)
+    prestretch = Parameter("λ", "not determined", material.why_not, _LEVELS)
     if stretch is not None:
         narrower = "record levels farther apart, or more (--level)" if vented else chamber
-        λ = Parameter("λ", _range(stretch, 3), stretch.source, narrower)
+        prestretch = Parameter("λ", _range(stretch, 3), stretch.source, narrower)
     return (
         Parameter("γ0", _range(gamma, 2, " N/m"), gamma.source, of_tension),
         Parameter("gauge pressure", gauge_text, gauge.source, chamber_text),
-        λ,
+        prestretch,
     )
 
 

@@ -51,7 +51,7 @@ from .prestress import (
 from .reference_mesh import (
     build_mesh as build_mesh,
     build_rubber as build_rubber,
-    film_deviation as film_deviation,
+    constant_tension_deviation as constant_tension_deviation,
     reference_tension as reference_tension,
     rest_stress as rest_stress,
     varied_rubber as varied_rubber,

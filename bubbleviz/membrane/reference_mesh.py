@@ -14,11 +14,11 @@ from bubbleviz.membrane.rubber import RubberMembrane, shear_stiffness
 from bubbleviz.membrane.stiffness import balance_tension
 from bubbleviz.sensor import Sensor
 
-_RUBBER_AS_FILM = 0.07
-"""Relative standard deviation of the stiffness by which constant tension differs from rubber. To
-hold the true force of a ball and a puck, 10 to 45 % of the height deep in inflated sheets and a
-dome of λ 1.1 to 1.6 (31 presses, exact γ0), it has to change by 6.5 % rms, by 12 % at most: too
-soft at small λ and light touches, too stiff in deep presses."""
+_CONSTANT_TENSION_ERROR = 0.07
+"""Relative standard deviation of the stiffness of constant tension, as a model of rubber. For the
+true force of a ball and a puck, pressed 10 to 45 % of the height into inflated sheets and a dome of
+λ 1.1 to 1.6 (31 presses, exact γ0), the stiffness has to change by 6.5 % rms and 12 % at most: it
+is too soft at small λ and light touches, and too stiff in deep presses."""
 
 
 def build_mesh(
@@ -134,14 +134,14 @@ def varied_rubber(
     return varied
 
 
-def film_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
+def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
     """Relative standard deviation of the stiffness of a sensor as a membrane of constant tension.
 
     Of γ0 by shape and gauge pressure, and of a calibrated sensor, which is rubber, that by which
     rubber differs from constant tension.
     """
     tension, gauge, _ = _deviations(sensor, tension_n_per_m)
-    rubber = 0.0 if sensor.calibration is None else _RUBBER_AS_FILM
+    rubber = 0.0 if sensor.calibration is None else _CONSTANT_TENSION_ERROR
     by_gauge = gauge / sensor.pneumatics.gauge_pressure_pa
     return float(np.linalg.norm([tension / tension_n_per_m, by_gauge, rubber]))
 

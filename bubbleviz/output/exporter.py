@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,15 +12,16 @@ from bubbleviz.pipeline import Product
 from bubbleviz.result import Result
 
 
-class Exporter:
+class Exporter(ABC):
     """Receives the results of frames in order and writes files."""
 
     products: frozenset[Product] = frozenset()  # required in each result
 
+    @abstractmethod
     def add(self, result: Result) -> None:
-        raise NotImplementedError
+        """Write what concerns the frame alone."""
 
-    def finish(self) -> None:
+    def finish(self) -> None:  # noqa: B027 - many have none
         """Write the files that depend on all frames."""
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -177,13 +178,13 @@ class Pictures(Series):
 
     quantity = ""
 
+    @abstractmethod
     def image(self, result: Result) -> np.ndarray:
         """Values of the pixels, (H, W); NaN where unknown."""
-        raise NotImplementedError
 
+    @abstractmethod
     def range(self) -> tuple[float, float]:
         """Values of the darkest and the brightest colour."""
-        raise NotImplementedError
 
     def add(self, result: Result) -> None:
         from matplotlib import colormaps  # only where pictures are written

@@ -53,7 +53,6 @@ from bubbleviz_ui.panels.plot_host import PlotHost, import_plots
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.second_membrane import SecondMembrane
 from bubbleviz_ui.panels.status_bar import PerformancePopup, StatusBar
-from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
@@ -233,6 +232,8 @@ class MainWindow(QMainWindow):
 
     def show_contacts(self) -> None:
         """Show a list of all contacts."""
+        from bubbleviz_ui.playback.contacts_dialog import ContactsDialog  # not at start
+
         ContactsDialog(self, self.state).show()
 
     def show_pages(self) -> None:

@@ -174,9 +174,8 @@ class FrameHistory:
         force, found = self.values["force_n"], list[ContactPeriod]()
         for begin, end in np.flatnonzero(touched[1:] != touched[:-1]).reshape(-1, 2):
             frames = known[begin:end]
-            largest = int(frames[np.argmax(force[frames])])
-            period = int(frames[0]), int(frames[-1]), largest, float(force[largest])
-            found.append(ContactPeriod(*period))
+            first, last, largest = frames[0], frames[-1], frames[np.argmax(force[frames])]
+            found.append(ContactPeriod(int(first), int(last), int(largest), float(force[largest])))
         return tuple(found)
 
     def largest_force(self) -> int | None:

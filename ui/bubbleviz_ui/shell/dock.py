@@ -416,7 +416,7 @@ def _height(item: QLayoutItem, width: int) -> int:
 
 
 class Steady(QLabel):
-    """Label of a number of each frame: of a fixed size, as Qt lays the window out for any other.
+    """Label of a fixed size, so that a new text in each frame does not lay the window out again.
 
     A text that needs more room still gets it.
     """

@@ -134,8 +134,8 @@ class PagesDialog(QDialog):
         self.missed.clear()
         if not text or self.page.find(text):
             return
-        shown = self.page.source().fileName()
-        at = next((k for k, path in enumerate(self._files) if path.name == shown), -1)
+        shown = Path(self.page.source().toLocalFile())
+        at = next((k for k, path in enumerate(self._files) if path.samefile(shown)), -1)
         for path in (*self._files[at + 1 :], *self._files[: at + 1]):
             if text.casefold() in path.read_text(encoding="utf-8").casefold():
                 self.page.setSource(QUrl.fromLocalFile(str(path)))

@@ -35,8 +35,8 @@ class ProfilePlot(QWidget):
         fill(QVBoxLayout(self), self._host, margins=(0, 0, 0, 0))
         self.setToolTip(
             "Section through both points, parallel to z of the bubble frame: estimated membrane, "
-            "membrane at rest, measured points, and contact pressure, over the distance from the "
-            "first point"
+            "membrane at rest, measured points, and contact pressure, over the distance in xy from "
+            "the first point"
         )
         self.hide()
         self._host.seen.connect(self._draw)
@@ -89,4 +89,4 @@ class ProfilePlot(QWidget):
             f'z ({length.symbol}): <span style="color:{BLUE}">membrane</span>, '
             f'<span style="color:{ORANGE}">measured</span>, at rest'
         )
-        self.below.write(f"p_c ({pressure.symbol}) over the distance ({length.symbol})")
+        self.below.write(f"p_c ({pressure.symbol}) over distance in xy ({length.symbol})")
