@@ -251,7 +251,7 @@ class Pipeline:
     def _estimated(
         self, frame: Frame, state: Any, flow: MeasuredFlow | None = None
     ) -> tuple[Estimate, Any]:
-        measured = frame.depth_m, frame.gas_pressure_pa, state, frame.gas_sigma_pa
+        measured = frame.steady_depth_m, frame.gas_pressure_pa, state, frame.gas_sigma_pa
         known: dict[str, Any] = {}  # solvers of other packages may not know these
         if flow is not None:
             known["flow"] = flow
@@ -389,7 +389,7 @@ class Pipeline:
         estimate = _required(result.estimate)
         if estimate.fine is not None:
             return result
-        fine = _required(self._refiner).refine(result.frame.depth_m, estimate)
+        fine = _required(self._refiner).refine(result.frame.steady_depth_m, estimate)
         return result if fine is None else replace(result, estimate=replace(estimate, fine=fine))
 
     def _patch_stage(self, result: Result, options: FrameOptions) -> Result:

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bubbleviz.averaging import StillFrames
 from bubbleviz.camera import ImageErrors
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame, FrameSource, Recording, force_of
+from bubbleviz.recordings import Frame, FrameSource, HeldFrames, Recording, force_of
 from bubbleviz.result import HALF_95, Result
 from bubbleviz.sensor import WEATHER_SIGMA_PA, Pneumatics
 
@@ -264,9 +265,12 @@ class Zeros(NamedTuple):
 
     gas: PressureZero | None  # None: its gas pressure is not measured, or not corrected
     image: ImageZero
+    still: StillFrames | None = None  # None: each frame by its own image
 
     def applied(self, frame: Frame) -> Frame:
-        """The frame with corrected gas pressure and known errors of the depth image."""
+        """The frame with corrected gas pressure, known errors and mean of the depth image."""
+        if self.still is not None:
+            frame = self.still.applied(frame)
         return self.image.applied(frame if self.gas is None else self.gas.applied(frame))
 
     def zeroed(self, frame: Frame, pipeline: Pipeline) -> Frame:
@@ -290,14 +294,16 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     They are searched at the start, then at positions spread over the recording. The zeros are
     unknown if there are none.
     """
-    rest, image = _rest_of(source, pipeline), ImageZero()
+    rest, image, still = _rest_of(source, pipeline), ImageZero(), None
     if pipeline.estimator.solver_name in (RUBBER, LINEAR):  # others do not know image errors
         image.take(_solved_alone(rest, pipeline), pipeline)
+        if not isinstance(source, HeldFrames):  # their frames are not neighbours
+            still = StillFrames(source, pipeline)
     image.fixed = True
     pressures = [each.gas_pressure_pa for each in rest]
     others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
     if all(each is None for each in pressures) and all(each is None for each in others):
-        return Zeros(None, image)
+        return Zeros(None, image, still)
     gas = PressureZero.of(pipeline.model.sensor.pneumatics)
     measured = [pressure for pressure in pressures if pressure is not None]
     if len(measured) >= MIN_FRAMES:
@@ -305,7 +311,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
         if not gas.frozen:
             gas.take(measured)
     gas.restore(gas.rest_pa, waiting=False)
-    return Zeros(gas, image)
+    return Zeros(gas, image, still)
 
 
 def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Frame]:

@@ -309,7 +309,7 @@ class Run(Sequence[FrameResult], Summary):
         if result.estimate is not None and result.estimate.reason:
             self._failures[result.estimate.status_text] += 1
         if keep:
-            frame = replace(result.frame, depth_m=_NO_IMAGE, find_colour=None)
+            frame = replace(result.frame, depth_m=_NO_IMAGE, mean_depth_m=None, find_colour=None)
             self._results.append(FrameResult(replace(result, frame=frame), self.model))
 
     def __len__(self) -> int:

@@ -15,6 +15,7 @@ from .flow_observer import (
     PinnedPoints as PinnedPoints,
     ShapeFlow as ShapeFlow,
 )
+from .image_change import ImageChange as ImageChange
 from .image_errors import (
     IMAGE_ERRORS as IMAGE_ERRORS,
     ImageErrors as ImageErrors,

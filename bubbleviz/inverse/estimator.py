@@ -7,7 +7,7 @@ from math import pi, sqrt
 
 import numpy as np
 
-from bubbleviz.camera import ImageErrors, MeasuredFlow, RangeObserver
+from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import smoothness
 from bubbleviz.inverse.friction import FRICTION
@@ -242,6 +242,11 @@ class Estimator:
     def image_prior(self) -> ImageErrors:
         """Errors of a depth image of which nothing else is known."""
         return self._newton.image_prior
+
+    def fits_rest(self, measured: Measured) -> bool:
+        """Whether an image is explained without contact by the noise of the camera."""
+        rest = self._newton.observe(FrameData(measured), self._newton.rest, None)
+        return self._newton.fits_without_contact(rest, None)
 
     def is_untouched(self, depth_m: np.ndarray) -> bool:
         """Whether an image (H, W), without the gas pressure, is explained without contact."""

@@ -34,7 +34,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "seen_share": (),
     "patch_area_m2": (),
     "patch_area_interval_m2": ("patch_area_low_m2", "patch_area_high_m2"),
-    **dict.fromkeys(("gas_pressure_pa", "iterations", "stamp_ns"), ()),
+    **dict.fromkeys(("gas_pressure_pa", "iterations", "images", "stamp_ns"), ()),
     **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
     # only with the products traction and slip:
     **dict.fromkeys(("traction_status", "traction_reason"), ()),
@@ -67,7 +67,7 @@ _LARGEST = 1e15  # in any unit of the file; larger numbers are damage
 
 _KNOWN_WITHOUT_DATA = {
     *("frame", "time_s", "status", "measured_force_n", "solve_ms", "total_ms", "kappa"),
-    *("wrench_n", "gas_pressure_pa", "iterations", "stamp_ns"),
+    *("wrench_n", "gas_pressure_pa", "iterations", "images", "stamp_ns"),
 }
 
 
@@ -109,6 +109,7 @@ def summary_row(result: Result) -> dict[str, Any]:
         "kappa": np.nan if patch.kappa is None else patch.kappa,
         "gas_pressure_pa": np.nan if gas_pa is None else gas_pa,
         "iterations": estimate.iterations,
+        "images": result.frame.images,
         "stamp_ns": result.frame.stamp_ns,
         _COVARIANCE: _known_covariance(estimate),
     }
@@ -208,8 +209,8 @@ def results_of(arrays: dict[str, np.ndarray]) -> list[Result]:
     Raises ValueError: no frames, or an array of other or impossible values or of another shape.
     """
     frames, nodes = len(arrays["frame"]), len(arrays["nodes_m"])
-    # missing in files of version 0.2
-    defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "stamp_ns": 0}
+    # missing in files of earlier versions
+    defaults = {"gas_pressure_pa": np.nan, "iterations": 0, "images": 1, "stamp_ns": 0}
     values = {key: np.full(frames, value) for key, value in defaults.items()}
     values |= {"wrench_n": np.full((frames, 3), np.nan)}
     values |= arrays

@@ -164,7 +164,7 @@ class Solver:
         if tracking:  # the depth image, not the blurred patch, determines the other directions
             way = np.linalg.solve(directed.motions, motion_between(predicted.T_B_O, T, center))
             T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
-        change = self._estimator.observer.pixel_residuals(frame.depth_m)
+        change = self._estimator.observer.pixel_residuals(frame.steady_depth_m)
         valid_m = self._image.valid_m if tracking else options.converged_m
         for k in range(options.next_steps if tracking else options.first_steps):
             step = self._image.step(

@@ -52,6 +52,10 @@ class Frame:
         measured in this recording, see `PressureZero`.
     image_errors : ImageErrors or None
         Errors of the entire depth image as known from frames without contact, see `ImageZero`.
+    mean_depth_m : (H, W) float32 array or None
+        Mean of this depth image and those around that show the same, see `StillFrames`.
+    images : int
+        Number of depth images in that mean.
     """
 
     index: int
@@ -67,6 +71,13 @@ class Frame:
     no_colour: str = NO_COLOUR
     gas_sigma_pa: float = 0.0
     image_errors: ImageErrors | None = None
+    mean_depth_m: np.ndarray | None = None
+    images: int = 1
+
+    @property
+    def steady_depth_m(self) -> np.ndarray:
+        """Depth image (H, W) for estimates: the mean, where there is one."""
+        return self.depth_m if self.mean_depth_m is None else self.mean_depth_m
 
     @property
     def colour(self) -> ColourImage | None:

@@ -154,7 +154,9 @@ class StatusBar(QStatusBar):
         part = friction_text(result, units)
         known = f"{part} (friction was not estimated)" if part == DASH and patch else part
         friction = f"its part by friction: {known}"
-        self.labels["force"].setToolTip(untrusted_text(result) or f"{TIPS['force']};\n{friction}")
+        mean = f"\nfrom the mean of {frame.images} depth images" if frame.images > 1 else ""
+        tip = f"{TIPS['force']};\n{friction}{mean}"
+        self.labels["force"].setToolTip(untrusted_text(result) or tip)
         self._solve_ms = result.times_ms.get("total")
 
     def show_rates(self, solve_hz: float, render_hz: float, dropped: int) -> None:

@@ -1,0 +1,193 @@
+"""Depth images that show the same are averaged, others are not."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import bubbleviz as bv
+from bubbleviz.averaging import StillFrames
+from bubbleviz.camera import DepthCamera
+from bubbleviz.errors import InputError
+from bubbleviz.membrane import build_mesh
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import Frame
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation import DepthNoise, touching_height
+from tests.small_press import changed
+
+PRODUCTS = frozenset({"estimate", "patch"})
+WHITE, CORRELATED = DepthNoise(relative=0.01), DepthNoise(relative=0.01, correlation_px=3.0)
+
+
+class Recorded:
+    """A source of frames by index; those among `damaged` cannot be read."""
+
+    name = "recorded"
+
+    def __init__(self, frames, damaged=()):
+        self._frames, self._damaged = frames, damaged
+        self.times_s = np.array([frame.time_s for frame in frames])
+
+    def __len__(self):
+        return len(self._frames)
+
+    def __getitem__(self, index):
+        if index in self._damaged:
+            raise InputError(f"frame {index} is damaged; record it again")
+        return self._frames[index]
+
+    def close(self):
+        pass
+
+
+@cache
+def sensor():
+    given = bv.load_sensor("pico_flexx_75mm")
+    return changed(given, membrane={"nodes": 400, "prestretch": 1.2})
+
+
+@cache
+def presses():
+    """Ranges of a ball well above the membrane, then 6 and 6.5 mm below first contact; forces."""
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    top = touching_height(load_object("sphere"), poses[0], build_mesh(sensor()))
+    poses[:, 2, 3] = top - 1e-3 * np.array([-20.0, 6.0, 6.5])
+    simulated = bv.simulate(sensor(), "sphere", poses)
+    camera = DepthCamera.of(sensor().camera)
+    ranges_m = [camera.range_image(simulated[k].depth_m) for k in range(3)]
+    return ranges_m, [simulated.truth(k).force_n[2] for k in range(3)]
+
+
+def between(values, depth_mm):
+    """Value at a depth, in proportion between those of the two presses."""
+    share = (depth_mm - 6.0) / 0.5
+    return (1.0 - share) * values[1] + share * values[2]
+
+
+def exact(depth_mm):
+    """Ranges of a ball at a depth; without contact if it is None."""
+    return presses()[0][0] if depth_mm is None else between(presses()[0], depth_mm)
+
+
+def noisy(depths_mm, noise=WHITE, seed=0):
+    camera, frames = DepthCamera.of(sensor().camera), []
+    for k, depth_mm in enumerate(depths_mm):
+        depth_m = camera.depth_image(noise.apply(exact(depth_mm), seed, k))
+        frames.append(Frame(k, k / 30.0, depth_m.astype(np.float32)))
+    return frames
+
+
+def averaged(source, order=None):
+    """Frames with their means, asked for in an order."""
+    still = StillFrames(source, Pipeline.of(sensor()))
+    found = {k: still.applied(source[k]) for k in order or range(len(source))}
+    return [found[k] for k in sorted(found)]
+
+
+def images(frames):
+    return [frame.images for frame in frames]
+
+
+def pushes(frames):
+    """Force along z, N, of each frame alone."""
+    pipeline, found = Pipeline.of(sensor()), []
+    for frame in frames:
+        pipeline.restart()
+        found.append(pipeline.process(frame, PRODUCTS).estimate.force_n[2])
+    return np.array(found)
+
+
+@pytest.mark.parametrize("noise", [WHITE, CORRELATED])
+def test_an_object_at_rest_is_averaged_over_as_many_frames_before_as_after(noise):
+    found = np.array(images(averaged(Recorded(noisy((6.0,) * 23, noise)))))
+    reach = 2 * np.minimum(np.arange(23), np.arange(23)[::-1]) + 1
+    assert (found <= np.minimum(reach, 11)).all() and (found % 2 == 1).all()
+    assert np.mean(found == np.minimum(reach, 11)) > 0.7  # nine of ten; fewer by chance
+
+
+def test_the_force_of_an_object_at_rest_scatters_less():
+    frames, force_n = noisy((6.0,) * 19), between(presses()[1], 6.0)
+    inner = slice(5, -5)
+    alone, mean = pushes(frames[inner]), pushes(averaged(Recorded(frames))[inner])
+    assert np.std(mean) < 0.6 * np.std(alone)
+    assert np.abs(mean - force_n).mean() < np.abs(alone - force_n).mean()
+
+
+def test_a_motion_too_slow_to_be_seen_shifts_no_force():
+    """A press of 0.02 mm a frame, 0.2 mm over the images of a mean."""
+    depths = 6.0 + 0.02 * np.arange(19)
+    single = noisy(depths)
+    frames, inner = averaged(Recorded(single)), slice(5, -5)
+    assert np.mean(images(frames)[inner]) > 4.0
+    truth = between(presses()[1], depths[inner])
+    alone, mean = pushes(single[inner]) - truth, pushes(frames[inner]) - truth
+    assert np.sqrt(np.mean(mean**2)) < np.sqrt(np.mean(alone**2))
+
+
+@pytest.mark.parametrize("speed_mm", [0.6, -0.6])
+def test_an_object_that_moves_is_not_averaged(speed_mm):
+    depths = 6.0 + speed_mm * np.arange(-3, 4)
+    assert images(averaged(Recorded(noisy(depths)))) == [1] * 7
+
+
+def test_contact_that_begins_ends_the_mean():
+    frames = averaged(Recorded(noisy((6.0,) * 8 + (7.0,) * 8)))
+    assert [frame.images for frame in frames[5:11]][2:4] == [1, 1]
+    assert max(images(frames)) > 5
+
+
+def test_a_membrane_without_contact_is_not_averaged():
+    assert images(averaged(Recorded(noisy((None,) * 7)))) == [1] * 7
+
+
+def test_equal_images_add_nothing():
+    still = [replace(frame, index=k) for k, frame in enumerate(noisy((6.0,)) * 9)]
+    assert images(averaged(Recorded(still))) == [1] * 9
+
+
+def test_a_frame_has_the_same_mean_however_it_was_reached():
+    source = Recorded(noisy((6.0,) * 13))
+    played, sought = averaged(source), averaged(source, [12, 3, 9, 6, 0, 7, 1, 11, 4, 2, 8, 10, 5])
+    for one, other in zip(played, sought, strict=True):
+        assert one.images == other.images
+        np.testing.assert_array_equal(one.steady_depth_m, other.steady_depth_m)
+
+
+def test_a_damaged_frame_ends_the_mean_of_those_around():
+    found = averaged(Recorded(noisy((6.0,) * 13), damaged={8}), order=range(8))
+    assert max(images(found)[:8]) > 3
+    assert images(found)[7] == 1
+
+
+def test_outliers_and_missing_returns_stay_out_of_the_mean():
+    frames = noisy((6.0,) * 13)
+    exact_m = DepthCamera.of(sensor().camera).depth_image(exact(6.0))
+    random = np.random.default_rng(0)
+    for frame in frames:
+        pixels = random.choice(frame.depth_m.size, size=frame.depth_m.size // 5, replace=False)
+        outliers, missing = np.array_split(pixels, 2)
+        frame.depth_m.flat[outliers] += 0.05
+        frame.depth_m.flat[missing] = np.nan
+    frame = averaged(Recorded(frames))[6]
+    assert frame.images > 5
+    good = np.abs(frame.depth_m - exact_m) < 0.01  # neither missing here nor an outlier
+    assert np.isnan(frame.steady_depth_m[np.isnan(frame.depth_m)]).all()
+    assert np.nanmax(np.abs(frame.steady_depth_m - exact_m)[good]) < 0.004
+    error_m = np.nanstd((frame.steady_depth_m - exact_m)[good])
+    assert error_m < 0.5 * np.nanstd((frame.depth_m - exact_m)[good])
+
+
+def test_estimates_of_a_recording_say_how_many_images_they_are_of(tmp_path):
+    simulated = bv.simulate(
+        sensor(), "sphere", "0 0 0.03 0 0 0 1", frames=9, noise_relative=0.01, seed=1
+    )
+    simulated.save(tmp_path / "press.mcap")
+    run = bv.estimate(tmp_path / "press.mcap", sensor(), out=tmp_path / "result.npz")
+    found = run.columns()["images"]
+    assert found.max() > 1
+    again = bv.estimate(bv.open(tmp_path / "press.mcap")[3:6], sensor())
+    assert again.columns()["images"].tolist() == found[3:6].tolist()
+    loaded = bv.load_run(tmp_path / "result.npz")
+    assert loaded.columns()["images"].tolist() == found.tolist()
