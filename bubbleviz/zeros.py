@@ -261,7 +261,7 @@ class PressureZero:
 
 
 class Zeros(NamedTuple):
-    """Zeros of one sensor."""
+    """Zeros of one sensor; of a recording also the means of images that show the same."""
 
     gas: PressureZero | None  # None: its gas pressure is not measured, or not corrected
     image: ImageZero
@@ -292,7 +292,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     """Zeros of a recording, the same for all of its frames, from some without contact.
 
     They are searched at the start, then at positions spread over the recording. The zeros are
-    unknown if there are none.
+    unknown if there are none. Frames held one by one are not averaged with their neighbours.
     """
     rest, image, still = _rest_of(source, pipeline), ImageZero(), None
     if pipeline.estimator.solver_name in (RUBBER, LINEAR):  # others do not know image errors

@@ -80,13 +80,13 @@ def test_result_has_every_documented_key(result):
         "normal_force_n": (frames, 3), "tangential_force_n": (frames, 3), "torque_nm": (frames, 3),
         "patch_area_interval_m2": (frames, 2), "kappa": (frames,), "seen_share": (frames,),
         "wrench_n": (frames, 3), "gas_pressure_pa": (frames,), "iterations": (frames,),
-        "stamp_ns": (frames,), "sensor_toml": (), "version": (), "solver": (),
+        "images": (frames,), "stamp_ns": (frames,), "sensor_toml": (), "version": (), "solver": (),
         "wrench_covariance": (frames, 6, 6),
     }  # fmt: skip
     assert {key: array.shape for key, array in result.items()} == shapes
     kinds = {key: array.dtype.kind for key, array in result.items()}
     texts, flags = {"status", "sensor_toml", "version", "solver"}, {"rim", "patch_mask"}
-    whole = {"frame", "triangles", "iterations", "stamp_ns"}
+    whole = {"frame", "triangles", "iterations", "images", "stamp_ns"}
     assert {key for key, kind in kinds.items() if kind == "U"} == texts
     assert {key for key, kind in kinds.items() if kind == "b"} == flags
     assert {key for key, kind in kinds.items() if kind == "i"} == whole

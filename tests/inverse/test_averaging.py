@@ -100,11 +100,11 @@ def pushes(frames):
 
 
 @pytest.mark.parametrize("noise", [WHITE, CORRELATED])
-def test_an_object_at_rest_is_averaged_over_as_many_frames_before_as_after(noise):
+def test_an_object_at_rest_is_averaged_over_five_frames_on_either_side(noise):
     found = np.array(images(averaged(Recorded(noisy((6.0,) * 23, noise)))))
-    reach = 2 * np.minimum(np.arange(23), np.arange(23)[::-1]) + 1
-    assert (found <= np.minimum(reach, 11)).all() and (found % 2 == 1).all()
-    assert np.mean(found == np.minimum(reach, 11)) > 0.7  # nine of ten; fewer by chance
+    most = np.minimum(np.arange(23), 5) + np.minimum(np.arange(23)[::-1], 5) + 1
+    assert (found <= most).all()
+    assert np.mean(found == most) > 0.7  # nine of ten; fewer by chance
 
 
 def test_the_force_of_an_object_at_rest_scatters_less():
@@ -116,14 +116,15 @@ def test_the_force_of_an_object_at_rest_scatters_less():
 
 
 def test_a_motion_too_slow_to_be_seen_shifts_no_force():
-    """A press of 0.02 mm a frame, 0.2 mm over the images of a mean."""
-    depths = 6.0 + 0.02 * np.arange(19)
+    """A press of 0.02 mm a frame, seen in images of both sides, or of one as at the end."""
+    depths = 6.0 + 0.02 * np.arange(14)
     single = noisy(depths)
-    frames, inner = averaged(Recorded(single)), slice(5, -5)
-    assert np.mean(images(frames)[inner]) > 4.0
-    truth = between(presses()[1], depths[inner])
-    alone, mean = pushes(single[inner]) - truth, pushes(frames[inner]) - truth
+    frames = averaged(Recorded(single))
+    assert np.mean(images(frames)) > 4.0
+    truth = between(presses()[1], depths)
+    alone, mean = pushes(single) - truth, pushes(frames) - truth
     assert np.sqrt(np.mean(mean**2)) < np.sqrt(np.mean(alone**2))
+    assert abs(mean[-5:].mean() - alone.mean()) < np.std(alone)  # both miss what the mesh does
 
 
 @pytest.mark.parametrize("speed_mm", [0.6, -0.6])
@@ -133,9 +134,14 @@ def test_an_object_that_moves_is_not_averaged(speed_mm):
 
 
 def test_contact_that_begins_ends_the_mean():
-    frames = averaged(Recorded(noisy((6.0,) * 8 + (7.0,) * 8)))
-    assert [frame.images for frame in frames[5:11]][2:4] == [1, 1]
-    assert max(images(frames)) > 5
+    depths = (6.0,) * 8 + (7.0,) * 8
+    frames, moved = averaged(Recorded(noisy(depths))), exact(6.0) - exact(7.0) > 5e-4
+    assert max(images(frames)[:8]) <= 8 and max(images(frames)[8:]) <= 8
+    assert min(images(frames)) > 3
+    camera = DepthCamera.of(sensor().camera)
+    for frame, depth_mm in zip(frames, depths, strict=True):
+        error_m = camera.range_image(frame.steady_depth_m) - exact(depth_mm)
+        assert np.nanmean(error_m[moved]) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_membrane_without_contact_is_not_averaged():
@@ -157,8 +163,7 @@ def test_a_frame_has_the_same_mean_however_it_was_reached():
 
 def test_a_damaged_frame_ends_the_mean_of_those_around():
     found = averaged(Recorded(noisy((6.0,) * 13), damaged={8}), order=range(8))
-    assert max(images(found)[:8]) > 3
-    assert images(found)[7] == 1
+    assert 3 < max(images(found)) <= 8
 
 
 def test_outliers_and_missing_returns_stay_out_of_the_mean():
