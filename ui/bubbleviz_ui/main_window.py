@@ -97,8 +97,8 @@ PLOTS_AFTER_S = 2.0
 """Time after the first source is open when the plotting library is imported, in a thread."""
 UNDO_STEPS = 200
 """Limited because some steps hold collected frames."""
-NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS
-"""Settings whose change does not redraw the 3-D view."""
+NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme"}
+"""Settings whose change does not redraw the 3-D view; it follows the theme by its palette."""
 OPENED_BY_WINDOW = (".mcap", ".toml", SESSION_SUFFIX)
 """Suffixes of written files that the window itself opens; others go to the desktop."""
 SIDES = {
@@ -120,7 +120,6 @@ class MainWindow(QMainWindow):
         super().__init__()
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("bubbleviz")
-        self.setStyleSheet(theme.style_sheet(theme.of(self)))
         self.setAcceptDrops(True)
         self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
         self.state = state

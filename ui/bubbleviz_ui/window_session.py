@@ -320,6 +320,6 @@ def application() -> QApplication:
     if made.findChild(GarbageCollector) is None:
         GarbageCollector(made)
     made.setApplicationName("bubbleviz")
-    made.setStyle("Fusion")
+    made.setStyle(theme.Style())
     theme.apply(made, theme.chosen("system", theme.system_scheme()))
     return made

@@ -68,16 +68,16 @@ def test_theme_menu_changes_all_parts(drive):
 
 @pytest.mark.parametrize("colours", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
 def test_text_contrast(colours):
-    for ground in (colours.window, colours.panel, colours.field, colours.view, colours.button):
+    for ground in (colours.window, colours.field, colours.view):
         assert contrast(QColor(colours.text), QColor(ground)) > 7.0
         assert contrast(QColor(colours.dim), QColor(ground)) > 4.5
     for grade in (colours.good, colours.usable, colours.doubtful):
-        assert contrast(QColor(grade), QColor(colours.panel)) > 4.0
+        assert contrast(QColor(grade), QColor(colours.window)) > 4.0
     for badge in BADGES.values():
         assert contrast(QColor(theme.ON_BADGE), QColor(badge)) > 4.5
     assert contrast(QColor(colours.on_accent), QColor(colours.accent)) > 4.5
     roles = QPalette.ColorRole
-    for ground in (colours.window, colours.panel, colours.field):
+    for ground in (colours.window, colours.field):
         for link in (roles.Link, roles.LinkVisited):
             assert contrast(theme.palette(colours).color(link), QColor(ground)) > 4.5
 
@@ -110,6 +110,22 @@ def test_unchecked_boxes_and_separators_of_menus_are_visible(drive):
             part = painted(menu)[place.top() : place.bottom() + 1, place.left() + 4 : 28]
             assert selected(part) > 3.0, (title, action.text())  # WCAG 2, parts of controls
         menu.close()
+
+
+def test_checked_buttons_stand_out_also_in_panels_shown_later(drive):
+    driver = drive(frame=3)
+    loop, playback = driver.window.playback.loop, driver.window.panels["playback"]
+    for title in ("Light", "Dark"):
+        playback.hide()
+        choose(driver, title)
+        playback.show()
+        driver.wait_for_redraw()
+        grounds = {}
+        for _ in range(2):
+            driver.click(loop)
+            grounds[loop.isChecked()] = QColor(*map(int, np.median(painted(loop), axis=(0, 1))))
+        assert (grounds[False].lightness() > 127) == (title == "Light")
+        assert contrast(grounds[True], grounds[False]) > 3.0, title
 
 
 def test_contrast_of_selected_and_disabled_text(drive):

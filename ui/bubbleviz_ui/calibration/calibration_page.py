@@ -15,6 +15,7 @@ from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.binding import ControlInput
 from bubbleviz_ui.panels.images_panel import ImageCell
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
 
@@ -34,8 +35,8 @@ class Page(QWidget):
         self.column.setContentsMargins(0, 0, 0, 0)
         self.column.setSpacing(6)
         heading, self.about = QLabel(self.title), QLabel(self.task, wordWrap=True)
-        heading.setObjectName("value")
-        self.about.setObjectName("dim")
+        theme.bold(heading)
+        theme.dim(self.about)
         fill(self.column, heading, self.about)
 
     def enter(self) -> None:
@@ -65,8 +66,7 @@ class NumberForm(QWidget):
     def set(self, name: str, text: str | None) -> None:
         """Set a number; None: a dash."""
         if name not in self._labels:
-            label = QLabel()
-            label.setObjectName("value")
+            label = theme.bold(QLabel())
             label.setWordWrap(True)
             self._labels[name] = label
             self._form.addRow(name, label)
@@ -108,7 +108,7 @@ class ImageView(QWidget):
         self._kind = ImageKind("", colouring)
         self._host = PlotHost(self._make)
         self.title, self.value = QLabel(wordWrap=True), QLabel()
-        self.value.setObjectName("dim")
+        theme.dim(self.value)
         row = fill(QHBoxLayout(), (self.title, 1), self.value)
         fill(QVBoxLayout(self), row, self._host, margins=(0, 0, 0, 0), spacing=3)
 

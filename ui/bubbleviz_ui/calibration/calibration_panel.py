@@ -308,7 +308,7 @@ class CalibrationPanel(QWidget):
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(_scrolling(page))
-        self.next.setObjectName("main")
+        self.next.setDefault(True)
         self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
         last = self.report.use_sensor, (self.report.save_as, 1)

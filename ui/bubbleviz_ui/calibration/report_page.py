@@ -50,7 +50,7 @@ class ReportPage(Page):
         self.view = ImageView("around zero")
         self.use_sensor = QPushButton("Use now")
         self.save_as = QPushButton("Save sensor as…")
-        self.save_as.setObjectName("main")
+        self.save_as.setDefault(True)
         self._lay_out()
         self.use_sensor.clicked.connect(self.use)
         self.save_as.clicked.connect(self.choose_file)

@@ -20,6 +20,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.export.exporting import KINDS, TOPIC, Exporting, Kind
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.message_bars import JobProgress
@@ -50,8 +51,7 @@ class ExportDialog(QDialog):
         self.captioned = QCheckBox("Frame number and time in the picture")
         self.captioned.setChecked(True)
         self.captioned.setToolTip("Written at the bottom of every picture of the video")
-        self.about = QLabel(wordWrap=True)
-        self.about.setObjectName("dim")
+        self.about = theme.dim(QLabel(wordWrap=True))
         self.message = QLabel(wordWrap=True)
         self.progress = JobProgress()
         self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")

@@ -29,6 +29,7 @@ from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.recording_control import make_folder
 from bubbleviz_ui.model.messages import Messages
 from bubbleviz_ui.panels.binding import options
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, remember
 from bubbleviz_ui.shell.message_bars import JobProgress
@@ -202,10 +203,9 @@ class ImportDialog(QDialog):
         self.folder.setToolTip("A folder of depth images")
         self.out = QLineEdit()
         self.out.setToolTip("The new recording, .mcap; an existing file is never replaced")
-        self.about = QLabel(ABOUT, wordWrap=True)
-        self.about.setObjectName("dim")
+        self.about = theme.dim(QLabel(ABOUT, wordWrap=True))
         self.problem, self.made = QLabel(wordWrap=True), QLabel(wordWrap=True)
-        self.problem.setObjectName("doubt")
+        theme.doubtful(self.problem)
         self.progress = JobProgress()
         self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open")
         self.begin = QPushButton("Import")

@@ -7,6 +7,7 @@ from collections import deque
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt
+from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import (
     QFileDialog,
     QFrame,
@@ -170,7 +171,6 @@ class LiveBar(QFrame):
     def __init__(self, live: LiveController, pair: SensorPair, units: Units) -> None:
         super().__init__()
         self._live, self._pair, self._units = live, pair, units
-        self.setObjectName("live")
         self.state = QLabel(wordWrap=True)
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
@@ -185,7 +185,7 @@ class LiveBar(QFrame):
         )
         self.leave = self._button("Disconnect", "Disconnect, or stop connecting (Ctrl+Shift+L)")
         self.counts = Elided(Qt.TextElideMode.ElideRight)
-        self.counts.setObjectName("dim")
+        theme.dim(self.counts)
         self._lay_out()
         self._connect()
         self.show_all()
@@ -261,10 +261,11 @@ class LiveBar(QFrame):
             button.deleteLater()
         for number, sensor in enumerate(self._pair.sensors):
             button = self._button(f"● {sensor.name}", SENSOR_TIP)
-            button.setStyleSheet(
-                f"QToolButton {{ color: {sensor.colour}; }}"
-                f"QToolButton:checked {{ background: {sensor.colour}; color: black; }}"
-            )
+            own = QPalette()
+            for role in (theme.ROLES.ButtonText, theme.ROLES.Highlight):
+                own.setColor(role, QColor(sensor.colour))
+            own.setColor(theme.ROLES.HighlightedText, QColor(theme.ON_BADGE))
+            button.setPalette(own)
             button.setCheckable(True)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.setChecked(number == self._pair.selected)

@@ -198,14 +198,12 @@ def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str,
     return button, actions
 
 
-def tool_button(text: str, tip: str, *, checkable: bool = False, slim: bool = False) -> QToolButton:
-    """Tool button; a slim one has smaller margins."""
+def tool_button(text: str, tip: str, *, checkable: bool = False) -> QToolButton:
+    """Tool button with a text."""
     button = QToolButton()
     button.setText(text)
     button.setToolTip(tip)
     button.setCheckable(checkable)
-    if slim:
-        button.setObjectName("slim")
     return button
 
 

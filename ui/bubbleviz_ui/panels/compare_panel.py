@@ -74,7 +74,7 @@ class SettingColumn:
         self.used.clicked.connect(self.use)
         self.values = {name: QLabel(DASH) for name in ROWS}
         for label in self.values.values():
-            label.setObjectName("value")
+            theme.bold(label)
         self.title = QLabel(COMPARED_NAMES[number])
         colours = f"background: {theme.COMPARED[number]}; color: {theme.ON_BADGE}"
         self.title.setStyleSheet(f"{colours}; padding: 1px 5px")
@@ -174,7 +174,7 @@ class OtherRecording(QWidget):
             "After comparing, draw the other membrane next to that of the open recording, at the "
             "same time"
         )
-        self.result.setObjectName("value")
+        theme.bold(self.result)
         choices = fill(QHBoxLayout(), (self.recording, 1), (self.sensor_file, 1))
         actions = fill(QHBoxLayout(), (self.align, 1), self.start, self.remove)
         title = QLabel("Another recording or sensor file")
@@ -342,8 +342,7 @@ class ComparePanel(QWidget):
             each.used.setToolTip(tip)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
-        self.hint = QLabel(NEEDS_TRUTH, wordWrap=True)
-        self.hint.setObjectName("dim")
+        self.hint = theme.dim(QLabel(NEEDS_TRUTH, wordWrap=True))
         parts = (grid, self.outlines, self.hint, self.other, 1)
         fill(QVBoxLayout(self), *parts, margins=(6, 8, 2, 8))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ SCALE_STEPS = 5
 """Colour squares of the scale in the heading."""
 
 
+@cache  # made of 256 colours, for seven images
 def colour_map(colouring: Colouring, colours: theme.Colours) -> Any:
     """Colour map of pyqtgraph; signed images have the residual colours of the 3-D view."""
     import pyqtgraph as pg  # not at start
@@ -247,7 +249,9 @@ class ImagesPanel(QWidget):
         for cell in self.cells.values():
             cell.forget_range()
 
-    def _on_settings(self) -> None:
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names == {"theme"}:  # the canvas follows it
+            return
         self._arrange()
         self._draw()
         self._on_hover(self._hover.place)

@@ -29,6 +29,7 @@ from bubbleviz_ui.model.source_facts import force_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -70,8 +71,7 @@ class KappaPanel(QWidget):
             "smallest and the largest patch that noise allows"
         )
         self.by_object.setToolTip("Area of the patch by the object at its pose (green outline)")
-        self.doubt = QLabel(wordWrap=True)
-        self.doubt.setObjectName("doubt")
+        self.doubt = theme.doubtful(QLabel(wordWrap=True))
         self._lay_out()
         self.show_result(None)
         self._bind(state)
@@ -134,9 +134,7 @@ class KappaPanel(QWidget):
 
 
 def _value() -> QLabel:
-    label = QLabel()
-    label.setObjectName("value")
-    return label
+    return theme.bold(QLabel())
 
 
 def _to_steps(kappa: float | None) -> int | None:

@@ -18,6 +18,7 @@ from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.panels.wrench_plot import WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, scrolled
 
 if TYPE_CHECKING:
@@ -53,8 +54,7 @@ class PlotsPanel(QWidget):
         self.cancel.setToolTip("Stop and keep the frames computed so far")
         self.progress = QProgressBar()
         self.statistics = RangeTable()
-        self.hint = QLabel("Click in a plot to seek that time")
-        self.hint.setObjectName("dim")
+        self.hint = theme.dim(QLabel("Click in a plot to seek that time"))
         self._lay_out()
         self._connect()
         state.frame_changed.connect(self._on_frame)
@@ -117,7 +117,8 @@ class PlotsPanel(QWidget):
     def _on_settings(self, names: frozenset[str]) -> None:
         if "plots" in names:
             self._arrange()
-        self._draw()
+        if names != {"theme"}:  # the canvas follows it
+            self._draw()
 
     def _draw_soon(self) -> None:
         """Schedule one redraw for all changes until then."""

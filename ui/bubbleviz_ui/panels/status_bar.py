@@ -24,6 +24,7 @@ from bubbleviz_ui.model.registry import LAYERS, RESULT_PANELS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text, friction_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import Elided, Steady, fill
 from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.view3d.render_view import View
@@ -254,7 +255,7 @@ class PerformancePopup(QFrame):
         self.hint = QLabel(
             "Hiding a layer or closing a panel stops computations that only it needs."
         )
-        self.hint.setObjectName("dim")
+        theme.dim(self.hint)
         self._lay_out()
         self._timer = QTimer(self, interval=EVERY_MS)
         self._timer.timeout.connect(lambda: self.refresh())
@@ -295,8 +296,7 @@ class PerformancePopup(QFrame):
     def _lay_out(self) -> None:
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setFixedWidth(WIDTH)
-        title = QLabel("Performance")
-        title.setObjectName("value")
+        title = theme.bold(QLabel("Performance"))
         fill(QVBoxLayout(self), title, self.table, self.drawing, self.hint)
 
 

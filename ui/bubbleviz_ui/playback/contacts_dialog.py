@@ -9,6 +9,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import ContactPeriod
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
 
@@ -30,8 +31,7 @@ class ContactsDialog(QDialog):
         self._contacts: tuple[ContactPeriod, ...] = ()
         self.table = Table(COLUMNS, len(COLUMNS) - 1)
         self.table.setToolTip("Click: show the frame of the largest force")
-        self.note = QLabel(wordWrap=True)
-        self.note.setObjectName("dim")
+        self.note = theme.dim(QLabel(wordWrap=True))
         fill(QVBoxLayout(self), (self.table, 1), self.note)
         self._timer = QTimer(self, singleShot=True, interval=EVERY_MS)
         self._timer.timeout.connect(self._show)

@@ -51,11 +51,11 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.first = tool_button("▮◀", "First frame (Home)", slim=True)
-        self.back = tool_button("◂", "Previous frame (←)", slim=True)
-        self.play = tool_button(PAUSE, "Play or pause (Space)", slim=True)
-        self.forward = tool_button("▸", "Next frame (→)", slim=True)
-        self.last = tool_button("▶▮", "Last frame (End)", slim=True)
+        self.first = tool_button("▮◀", "First frame (Home)")
+        self.back = tool_button("◂", "Previous frame (←)")
+        self.play = tool_button(PAUSE, "Play or pause (Space)")
+        self.forward = tool_button("▸", "Next frame (→)")
+        self.last = tool_button("▶▮", "Last frame (End)")
         self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
         self._timeline_timer = QTimer(self, singleShot=True, interval=TIMELINE_EVERY_MS)
@@ -80,7 +80,7 @@ class PlaybackPanel(QWidget):
 
     def _step_button(self, seconds: float) -> QToolButton:
         words, keys = SECOND_STEPS[seconds]
-        button = tool_button(f"{words} s", f"{words} seconds ({keys})", slim=True)
+        button = tool_button(f"{words} s", f"{words} seconds ({keys})")
         button.clicked.connect(lambda: self._state.step_seconds(seconds))
         return button
 

@@ -24,6 +24,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
 from bubbleviz_ui.session_files.session_file import name_of
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.file_dialogs import new_file
 
@@ -150,8 +151,8 @@ class ValueRow(QWidget):
         self.shown, self.unit, self.interval = QLabel(), QLabel(value.si), QLabel()
         self.box = QLineEdit()
         self.box.setMinimumWidth(BOX_WIDTH)
-        self.shown.setObjectName("value")
-        self.interval.setObjectName("dim")
+        theme.bold(self.shown)
+        theme.dim(self.interval)
         for widget in (self, self.box):
             widget.setToolTip(value.tip)
         fill(QHBoxLayout(self), self.shown, (self.box, 1), self.unit, margins=(0, 0, 0, 0))
@@ -208,7 +209,7 @@ class SensorPanel(QWidget):
         self.save.setToolTip("Write a sensor file, with its mesh and pixels, and use it")
         self.cancel.setToolTip("Discard the changes")
         for label in (self.problem, self.difference):
-            label.setObjectName("doubt")
+            theme.doubtful(label)
         self._form = form = QFormLayout()
         form.addRow("Name", self.name)
         form.addRow("File", self.file)

@@ -22,6 +22,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import control, form
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE
 
@@ -150,7 +151,7 @@ class ShearPanel(QWidget):
         self.state = QLabel(DASH, wordWrap=True)
         self.values = {name: QLabel(DASH, wordWrap=True) for name in NUMBERS}
         for name, label in self.values.items():
-            label.setObjectName("value")
+            theme.bold(label)
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
         self.plot = ShearPlot()
         self.plot.seen.connect(self._write)

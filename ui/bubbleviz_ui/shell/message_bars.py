@@ -7,6 +7,7 @@ from enum import Enum
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal
+from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import (
     QApplication,
     QButtonGroup,
@@ -39,11 +40,9 @@ HINT = (
 class _Bar(QFrame):
     """A line of text with buttons; initially hidden."""
 
-    def __init__(self, parent: QWidget, name: str, *widgets: QWidget) -> None:
+    def __init__(self, parent: QWidget, *widgets: QWidget) -> None:
         super().__init__(parent)
-        self.setObjectName(name)
-        self.kind, self.label = QLabel(), QLabel(wordWrap=True)
-        self.kind.setObjectName("value")
+        self.kind, self.label = theme.bold(QLabel()), QLabel(wordWrap=True)
         text = QWidget()
         fill(QHBoxLayout(text), self.kind, (self.label, 1), margins=(0, 0, 0, 0))
         BarLayout(self, text, *widgets, margins=(12, 6, 8, 6))
@@ -64,8 +63,9 @@ class MessageBar(_Bar):
         self.copy.setToolTip("Copy the open messages with details, for a bug report")
         self.dismiss = QPushButton("Dismiss")
         self.dismiss.setToolTip("Remove this message; Help → Messages lists all")
-        super().__init__(parent, "warning", self.more, self.copy, self.dismiss)
+        super().__init__(parent, self.more, self.copy, self.dismiss)
         self.kind.show()
+        self.setAutoFillBackground(True)
         self.more.clicked.connect(self.open_requested)
         self.copy.clicked.connect(
             lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open))
@@ -102,8 +102,7 @@ class MessageBar(_Bar):
         if not self._open:
             return
         shown = self._shown
-        self.setObjectName(shown.kind)
-        self.style().polish(self)  # the style sheet selects by object name
+        self.setBackgroundRole(theme.ERROR if shown.kind == "error" else theme.WARNING)
         self.kind.setText(shown.kind.capitalize())
         self.label.setText(shown.text)
         self.more.setText(f"{len(self._open) - 1} more…")
@@ -121,7 +120,6 @@ class NoticeBar(QFrame):
 
     def __init__(self, bar: QMenuBar) -> None:
         super().__init__(bar)
-        self.setObjectName("notice")
         self._bar, self._room = bar, QSize()
         self._file: Path | None = None
         self.label = Elided(Qt.TextElideMode.ElideMiddle)  # keep both ends of a path
@@ -183,7 +181,7 @@ class BusyBar(_Bar):
         self.progress.setFixedWidth(160)
         self.cancel = QPushButton("Cancel")
         self.cancel.setToolTip("Stop; the current source stays open")
-        super().__init__(parent, "busy", self.progress, self.cancel)
+        super().__init__(parent, self.progress, self.cancel)
         self._due = QTimer(self, singleShot=True, interval=BUSY_AFTER_MS)
         self._due.timeout.connect(self.show)
 
@@ -214,7 +212,7 @@ class HintBar(_Bar):
 
     def __init__(self, parent: QWidget) -> None:
         self.understood = QPushButton("Got it")
-        super().__init__(parent, "hint", self.understood)
+        super().__init__(parent, self.understood)
         self.label.setText(HINT)
         self.understood.clicked.connect(self.hide)
 
@@ -222,8 +220,8 @@ class HintBar(_Bar):
 # A row of step buttons with number, name and state.
 
 
-SMALL = "font-size: 8pt;"
-"""Seven names fit in a panel of 380 pixels."""
+SMALL = 8
+"""Size of the font, pt: seven names fit in a panel of 380 pixels."""
 
 
 class StepState(Enum):
@@ -252,7 +250,9 @@ class StepButtons(QButtonGroup):
         for number in range(len(titles)):
             button = QToolButton()
             button.setCheckable(True)
-            button.setObjectName("slim")
+            font = button.font()
+            font.setPointSize(SMALL)
+            button.setFont(font)
             self.addButton(button, number)
         fill(QHBoxLayout(self.row), *self.buttons(), 1, margins=(0, 0, 0, 0), spacing=1)
 
@@ -265,7 +265,7 @@ class StepButtons(QButtonGroup):
             button = self.button(number)
             button.setText(f"{number + 1}{state.value}\n{name}")
             button.setToolTip(f"{title}: {state.words}")
-            own = state in colour and not button.isChecked()
-            style = SMALL + (f" color: {colour[state]};" if own else "")
-            if style != button.styleSheet():  # setting the same takes as long
-                button.setStyleSheet(style)
+            own = QPalette()
+            if state in colour:
+                own.setColor(QPalette.ColorRole.ButtonText, QColor(colour[state]))
+            button.setPalette(own)

@@ -1,17 +1,29 @@
-"""Dark and light theme: colours and style sheet."""
+"""Dark and light theme: a palette, which Qt applies faster than a style sheet."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-from PySide6.QtCore import Qt
-from PySide6.QtGui import QColor, QPalette
-from PySide6.QtWidgets import QApplication, QMainWindow, QWidget
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtGui import QColor, QPainter, QPalette
+from PySide6.QtWidgets import (
+    QApplication,
+    QLabel,
+    QProxyStyle,
+    QPushButton,
+    QStyle,
+    QStyleOption,
+    QStyleOptionComplex,
+    QStyleOptionMenuItem,
+    QToolTip,
+    QWidget,
+)
 
 from bubbleviz_ui.model.settings import ThemeName
 
-_FOLDER = Path(__file__).parent.as_posix()
+ROLES = QPalette.ColorRole
+ERROR, WARNING, DOUBTFUL = ROLES.Midlight, ROLES.Mid, ROLES.BrightText
+"""Roles of the palette, not used by Qt's Fusion style: grounds of messages, text of doubts."""
 
 # Colours with a meaning, the same in every theme.
 NEUTRAL = "#8c97a5"
@@ -53,24 +65,16 @@ class Colours:
     cloud: str
     rim: str
     frustum: str
-    window: str  # window, panel, field, border: Surfaces; `field` of input widgets
-    panel: str
+    window: str  # window, field: Surfaces; `field` of input widgets
     field: str
-    border: str
     text: str  # text, dim, disabled: Text
     dim: str
     disabled: str
-    # accent, on_accent, tick: Selection, text on it, and file of the check mark on it
-    accent: str
+    accent: str  # accent, on_accent: Selection, and text on it
     on_accent: str
-    tick: str
-    button: str  # button, hover, outline: Buttons, and frame of check boxes
-    hover: str
-    outline: str
-    error: str  # error, error_edge, warning, warning_edge: The message bar
-    error_edge: str
+    outline: str  # Frame of check boxes
+    error: str  # error, warning: The message bar
     warning: str
-    warning_edge: str
     free: str  # free, marker: On the timeline: frames without contact, marked frames
     marker: str
     good: str  # good, usable, doubtful: Grades
@@ -83,23 +87,16 @@ DARK = Colours(
     cloud="#cfd6de",
     rim="#c3ccd6",
     frustum="#7f8b99",
-    window="#1d2126",
-    panel="#23282e",
+    window="#23282e",
     field="#171a1e",
-    border="#3a414a",
     text="#e6ebf0",
     dim="#98a3af",
     disabled="#7d8792",
     accent="#4c9fe8",
     on_accent="#0b1118",
-    tick="tick_dark.svg",
-    button="#2f353d",
-    hover="#3a424c",
     outline="#66717e",
     error="#5a2b2b",
-    error_edge="#b05050",
     warning="#4a3d1e",
-    warning_edge="#a5853a",
     free="#3d4c5c",
     marker="#f2c14e",
     good="#4cc38a",
@@ -111,23 +108,16 @@ LIGHT = Colours(
     cloud="#38424d",
     rim="#4a5561",
     frustum="#7f8b99",
-    window="#dfe3e8",
-    panel="#eceff3",
+    window="#eceff3",
     field="#ffffff",
-    border="#bcc4cd",
     text="#161b21",
     dim="#55606c",
     disabled="#757f89",
     accent="#1560b3",
     on_accent="#ffffff",
-    tick="tick_white.svg",
-    button="#fafbfc",
-    hover="#dde6f0",
     outline="#7b8794",
     error="#f9d9d7",
-    error_edge="#c7625c",
     warning="#fbeecb",
-    warning_edge="#c39a2c",
     free="#a9bccf",
     marker="#b07a00",
     good="#15803d",
@@ -158,90 +148,137 @@ def system_scheme() -> Qt.ColorScheme:
 
 
 def apply(application: QApplication, colours: Colours) -> None:
-    """Apply a theme to the application and its main windows."""
+    """Apply a theme to the application."""
     new = palette(colours)
-    if application.palette() != new:
-        application.setPalette(new)
-        for window in application.topLevelWidgets():
-            if isinstance(window, QMainWindow):
-                window.setStyleSheet(style_sheet(colours))
+    if application.palette() == new:
+        return
+    application.setPalette(new)
+    kind = QEvent.Type.ApplicationPaletteChange
+    application.sendPostedEvents(None, kind)  # all widgets have it now
+    QToolTip.setPalette(new)
 
 
-def style_sheet(c: Colours) -> str:
-    """Style sheet of a theme, for a window: Qt applies that of an application more slowly.
+class Style(QProxyStyle):
+    """Qt's Fusion style with checked and default buttons in the colour of selections."""
 
-    Text and selections are coloured by the palette: a rule for every widget is slow, too.
-    """
-    return f"""
-QMenu::item:selected, QMenuBar::item:selected {{ background: {c.hover}; color: {c.text}; }}
-QMenu::item {{ padding: 3px 24px 3px 16px; }}
-QMenu::indicator {{ left: 8px; }}
-QMenu::indicator:exclusive {{ border-radius: 7px; }}
-QMenu::separator {{ height: 1px; background: {c.outline}; margin: 3px 8px; }}
-QMenu::item:disabled, QAbstractItemView::item:disabled {{ color: {c.disabled}; }}
-QMainWindow, QDialog {{ background: {c.window}; }}
-QMainWindow::separator {{ background: {c.field}; width: 4px; height: 4px; }}
-QDockWidget {{ font-weight: 600; }}
-QDockWidget::title {{ background: {c.panel}; padding: 6px 10px;
-    border-bottom: 1px solid {c.border}; }}
-QDockWidget > QWidget {{ background: {c.panel}; }}
-QToolTip {{ background: {c.field}; color: {c.text}; border: 1px solid {c.border}; padding: 4px; }}
-QStatusBar {{ background: {c.field}; border-top: 1px solid {c.border}; }}
-QStatusBar::item {{ border: none; }}
-QLabel#dim {{ color: {c.dim}; }}
-QLabel#value {{ font-weight: 600; }}
-QLabel#doubt {{ color: {c.doubtful}; font-weight: 600; }}
-QPushButton, QToolButton {{ background: {c.button}; border: 1px solid {c.border};
-    border-radius: 4px; padding: 4px 10px; }}
-QToolButton {{ padding: 4px 5px; }}
-QToolButton#slim {{ padding: 4px 2px; }}
-QPushButton:hover, QToolButton:hover {{ background: {c.hover}; }}
-QPushButton:checked, QToolButton:checked {{ background: {c.accent}; color: {c.on_accent}; }}
-QPushButton#main:enabled {{ background: {c.accent}; color: {c.on_accent}; }}
-QPushButton:focus, QToolButton:focus, QComboBox:focus, QDoubleSpinBox:focus
-    {{ border: 1px solid {c.accent}; }}
-QAbstractSpinBox {{ min-height: 1.35em; }}
-QCheckBox {{ spacing: 8px; padding: 2px; }}
-QCheckBox::indicator, QMenu::indicator {{ width: 13px; height: 13px; border: 1px solid {c.outline};
-    border-radius: 3px; background: {c.field}; }}
-QCheckBox::indicator:checked, QMenu::indicator:checked
-    {{ background: {c.accent}; border-color: {c.accent};
-    image: url("{_FOLDER}/{c.tick}"); }}
-QCheckBox:focus {{ color: {c.accent}; }}
-QFrame#line {{ color: {c.border}; background: {c.border}; border: none; max-height: 1px; }}
-QFrame#live {{ background: {c.panel}; border: none; border-bottom: 1px solid {c.border}; }}
-QFrame#error {{ background: {c.error}; border: none;
-    border-bottom: 1px solid {c.error_edge}; }}
-QFrame#warning {{ background: {c.warning}; border: none;
-    border-bottom: 1px solid {c.warning_edge}; }}
-QFrame#busy, QFrame#hint, QFrame#notice {{ background: {c.panel}; border: none;
-    border-bottom: 1px solid {c.border}; }}
-QFrame#notice QToolButton {{ padding: 0 6px; }}
-"""
+    def __init__(self) -> None:
+        super().__init__("Fusion")
+
+    def drawControl(
+        self,
+        element: QStyle.ControlElement,
+        option: QStyleOption,
+        painter: QPainter,
+        widget: QWidget | None = None,
+    ) -> None:
+        """Draw a control."""
+        if element == QStyle.ControlElement.CE_PushButton:
+            default = isinstance(widget, QPushButton) and widget.isDefault()
+            _emphasise(option, default=default)
+        elif element == QStyle.ControlElement.CE_MenuItem:
+            _outline(option)
+            if _is_separator(option):
+                line = option.rect.adjusted(8, option.rect.height() // 2, -8, 0)
+                line.setHeight(1)
+                painter.fillRect(line, _colours(option).outline)
+                return
+        super().drawControl(element, option, painter, widget)
+
+    def drawComplexControl(
+        self,
+        control: QStyle.ComplexControl,
+        option: QStyleOptionComplex,
+        painter: QPainter,
+        widget: QWidget | None = None,
+    ) -> None:
+        """Draw a control of several parts."""
+        if control == QStyle.ComplexControl.CC_ToolButton:
+            _emphasise(option)
+        super().drawComplexControl(control, option, painter, widget)
+
+    def drawPrimitive(
+        self,
+        element: QStyle.PrimitiveElement,
+        option: QStyleOption,
+        painter: QPainter,
+        widget: QWidget | None = None,
+    ) -> None:
+        """Draw an element."""
+        if element == QStyle.PrimitiveElement.PE_IndicatorCheckBox:
+            _outline(option)
+        super().drawPrimitive(element, option, painter, widget)
+
+
+def _emphasise(option: QStyleOption, *, default: bool = False) -> None:
+    """Colour a button that is checked, or the default one."""
+    state, flags = option.state, QStyle.StateFlag
+    if flags.State_Enabled in state and (default or flags.State_On in state):
+        colours = QPalette(option.palette)
+        colours.setColor(ROLES.Button, colours.color(ROLES.Highlight))
+        colours.setColor(ROLES.ButtonText, colours.color(ROLES.HighlightedText))
+        option.palette = colours
+
+
+def _outline(option: QStyleOption) -> None:
+    """Frame check boxes visibly: Fusion takes a darker colour of the window, dark or not."""
+    colours = QPalette(option.palette)
+    colours.setColor(ROLES.Window, QColor(_colours(option).outline).lighter(140))
+    option.palette = colours
+
+
+def _is_separator(option: QStyleOption) -> bool:
+    kind = getattr(option, "menuItemType", None)
+    return kind == QStyleOptionMenuItem.MenuItemType.Separator
+
+
+def _colours(option: QStyleOption) -> Colours:
+    return with_text(option.palette.color(ROLES.Text))
+
+
+def dim(label: QLabel) -> QLabel:
+    """Give a label the colour of secondary text."""
+    label.setForegroundRole(ROLES.PlaceholderText)
+    return label
+
+
+def bold(label: QLabel) -> QLabel:
+    """Give a label a bold font."""
+    font = label.font()
+    font.setBold(True)
+    label.setFont(font)
+    return label
+
+
+def doubtful(label: QLabel) -> QLabel:
+    """Give a label the look of a warning."""
+    label.setForegroundRole(DOUBTFUL)
+    return bold(label)
 
 
 def palette(c: Colours) -> QPalette:
     """Palette of a theme for Qt's Fusion style."""
-    roles = QPalette.ColorRole
     colours = {
-        roles.Window: c.window,
-        roles.WindowText: c.text,
-        roles.Base: c.field,
-        roles.AlternateBase: c.panel,
-        roles.Text: c.text,
-        roles.Button: c.panel,
-        roles.ButtonText: c.text,
-        roles.ToolTipBase: c.field,
-        roles.ToolTipText: c.text,
-        roles.Highlight: c.accent,
-        roles.HighlightedText: c.on_accent,
-        roles.PlaceholderText: c.dim,
-        roles.Link: c.accent,
-        roles.LinkVisited: c.accent,
+        ROLES.Window: c.window,
+        ROLES.WindowText: c.text,
+        ROLES.Base: c.field,
+        ROLES.AlternateBase: c.window,
+        ROLES.Text: c.text,
+        ROLES.Button: c.window,
+        ROLES.ButtonText: c.text,
+        ROLES.ToolTipBase: c.field,
+        ROLES.ToolTipText: c.text,
+        ROLES.Highlight: c.accent,
+        ROLES.HighlightedText: c.on_accent,
+        ROLES.PlaceholderText: c.dim,
+        ROLES.Link: c.accent,
+        ROLES.LinkVisited: c.accent,
+        ERROR: c.error,
+        WARNING: c.warning,
+        DOUBTFUL: c.doubtful,
     }
     made = QPalette()
     for role, colour in colours.items():
         made.setColor(role, QColor(colour))
-    for role in (roles.WindowText, roles.Text, roles.ButtonText):
+    for role in (ROLES.WindowText, ROLES.Text, ROLES.ButtonText):
         made.setColor(QPalette.ColorGroup.Disabled, role, QColor(c.disabled))
     return made

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QCheckBox, QFormLayout, QFrame, QVBoxLayout, QWidget
 
 from bubbleviz_ui.model.registry import LAYERS, LayerKind
@@ -36,8 +37,8 @@ class LayersPanel(QWidget):
 
     def _lay_out(self) -> None:
         line = QFrame()
-        line.setObjectName("line")
-        line.setFixedHeight(1)
+        line.setFrameStyle(QFrame.Shape.HLine | QFrame.Shadow.Plain)
+        line.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         rows = form(
             self.cloud_colour,
             self.cloud_points,

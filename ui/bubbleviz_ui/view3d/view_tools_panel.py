@@ -89,13 +89,12 @@ class ViewTools(QWidget):
 
     def _make_buttons(self) -> None:
         self.views = {
-            name: tool_button(title, f"View from the {name}, in the bubble frame B", slim=True)
+            name: tool_button(title, f"View from the {name}, in the bubble frame B")
             for name, title in VIEWS.items()
         }
         self.views["camera"].setToolTip("View from the depth camera")
         self.tools = {
-            name: tool_button(title, tip, checkable=True, slim=True)
-            for name, (title, tip) in TOOLS.items()
+            name: tool_button(title, tip, checkable=True) for name, (title, tip) in TOOLS.items()
         }
         group = QButtonGroup(self)
         for button in self.tools.values():
@@ -116,7 +115,7 @@ class ViewTools(QWidget):
         self.save = QPushButton("Save…")
         self.save.setToolTip("Save a picture of the 3-D view at this size, PNG")
         tip = "Rotate about the vertical automatically, 30° per second"
-        self.turn = tool_button("Turntable", tip, checkable=True, slim=True)
+        self.turn = tool_button("Turntable", tip, checkable=True)
 
     def _lay_out(self) -> None:
         rows = form(self.colour_map, self.exaggeration, self.section)
