@@ -33,6 +33,12 @@ UNUSED = {
         ("zenoh", "mcap", "pyrealsense2"),
     ),
     "estimate": (COMMAND.format("estimate"), (*WINDOW, "matplotlib", "pandas", "bubbleviz.pose")),
+    "first frame of the built-in press": (
+        "from bubbleviz.sensor import load_sensor\n"
+        "from bubbleviz_ui.engine.source import SYNTHETIC\n"
+        "SYNTHETIC.open(load_sensor('pico_flexx_75mm'))[0]",
+        ("open3d", "osqp", "matplotlib"),
+    ),
     "export of depth pictures": (
         COMMAND.format("export --what depth"), (*WINDOW, "open3d", "osqp", "clarabel", "pyarrow"),
     ),

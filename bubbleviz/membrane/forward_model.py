@@ -246,6 +246,9 @@ class ForwardModel:
 
     def press(self, obj: RigidObject, T_B_O: np.ndarray) -> Contact:
         """Equilibrium with the object at the pose, warm-started from the last call."""
+        lowest = (obj.vertices @ checked_pose(T_B_O)[2, :3]).min() + T_B_O[2, 3]
+        if lowest > self.mesh.nodes[:, 2].max():  # above the membrane: needs no search, no Open3D
+            return self.solve(np.full(len(self.mesh.nodes), np.inf))
         return self.solve(self._finder.gaps(obj, T_B_O))
 
     def forget(self) -> None:

@@ -293,13 +293,15 @@ def default_press(
     sensor: Sensor,
     frames: int = 150,  # of one loop, contact-free at both ends
     rate_hz: float = 30.0,
+    nodes: int | None = None,  # target number of nodes of the simulation's mesh
+    noise: DepthNoise | None = None,  # None: that of the sensor's camera
 ) -> SyntheticSource:
     """Press of the built-in live sensor: approach, press, move and turn, withdraw."""
-    noise = DepthNoise(relative=sensor.camera.noise_relative)
+    noise = noise or DepthNoise(relative=sensor.camera.noise_relative)
     obj = load_object("two_legged_toy")
     height, width = dome_size(sensor)
     poses = default_path(height, width, frames)
-    return SyntheticSource(sensor, obj, poses, noise, rate_hz)
+    return SyntheticSource(sensor, obj, poses, noise, rate_hz, nodes=nodes)
 
 
 def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:

@@ -141,6 +141,15 @@ def test_object_not_hit_by_normals_gives_no_bounds(mesh):
 # -- the obstacle problem -----------------------------------------------------------------------
 
 
+def test_a_ball_above_the_membrane_leaves_it_at_rest_and_one_a_little_lower_does_not(mesh):
+    model, top = ForwardModel(mesh, TENSION, gas_of(mesh)), float(mesh.nodes[:, 2].max())
+    above, below = (model.press(load_object("sphere"), at(z=top + dz)) for dz in (1e-5, -1e-4))
+    assert_equilibrium(above)
+    assert np.abs(above.displacement_m).max() < 1e-12
+    assert_equilibrium(below)
+    assert below.contact_pressure_pa.max() > 0.0
+
+
 @pytest.mark.parametrize("name", ["frustum", "two_legged_toy", "torus", "two_spheres", "hex_nut"])
 def test_same_minimiser_as_an_interior_point_solver(mesh, name):
     contact = ForwardModel(mesh, TENSION, gas_of(mesh)).press(load_object(name), at(0.004, 0, 0.04))

@@ -18,6 +18,9 @@ _fresh = click.option(
 @_fresh
 def window(fresh: bool) -> int:
     """Open the window with the last session, the first time with a synthetic live sensor."""
+    from bubbleviz_ui.startup_imports import import_the_backend
+
+    import_the_backend()
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
 

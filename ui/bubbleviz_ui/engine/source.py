@@ -97,11 +97,12 @@ def _synthetic(sensor: Sensor) -> FrameSource:
     A frame is simulated when it is first shown; only the noise differs between loops.
     """
     # not at start: opening a recording needs no simulator
-    from bubbleviz.simulation import SyntheticSource, default_press
+    from bubbleviz.simulation import DepthNoise, default_press
 
-    press, nodes = default_press(sensor), LIVE_NODE_RATIO * sensor.membrane.nodes
-    source = SyntheticSource(sensor, press.obj, press.poses, times_s=press.times_s, nodes=nodes)
-    return NoisyLoop(CachedSource(source), press.camera, press.noise)
+    nodes = LIVE_NODE_RATIO * sensor.membrane.nodes
+    press = default_press(sensor, nodes=nodes, noise=DepthNoise())
+    noise = DepthNoise(relative=sensor.camera.noise_relative)
+    return NoisyLoop(CachedSource(press), press.camera, noise)
 
 
 class _EmptySource:
