@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from threading import Event
 
+import numpy as np
 import pytest
 from fakes import small_sensor
 from PySide6.QtCore import QTimer
@@ -181,7 +182,7 @@ def test_benchmark_counts_renders():
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
 
 
-def test_window_is_there_while_the_simulation_is_prepared_and_can_be_closed(qapp, monkeypatch):
+def test_membrane_is_shown_while_the_simulation_is_prepared_and_can_be_closed(qapp, monkeypatch):
     prepared, opening = Event(), source.SYNTHETIC.open
     seen = list[str]()
 
@@ -192,6 +193,13 @@ def test_window_is_there_while_the_simulation_is_prepared_and_can_be_closed(qapp
     def close():
         for window in QApplication.topLevelWidgets():
             if window.isVisible() and isinstance(window, MainWindow) and window.busy.isVisible():
+                picture = window.view.pixels()
+                middle, corner = (
+                    picture[picture.shape[0] // 2, picture.shape[1] // 2],
+                    picture[0, 0],
+                )
+                if np.abs(middle.astype(int) - corner).sum() < 100:
+                    continue  # nothing is drawn yet
                 seen.append(window.busy.label.text())
                 window.close()
                 prepared.set()
@@ -202,7 +210,7 @@ def test_window_is_there_while_the_simulation_is_prepared_and_can_be_closed(qapp
     timer.start()
     assert run_window(small_sensor()) == 0
     timer.stop()
-    assert seen and not QApplication.topLevelWidgets()
+    assert "being simulated" in seen[0] and not QApplication.topLevelWidgets()
 
 
 def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path):

@@ -113,10 +113,12 @@ class WindowSession:
 
         self._answers.clear()
         if recording is None:
+            self.window.scene.show_at_rest(sensor)
             self._show_at_once()
         self.controller.opening.open(
             Source.of_recording(recording, truth) if recording else SYNTHETIC,
             lambda: sensor,
+            what="" if recording else "synthetic press, whose first frames are being simulated",
             frame=frame or 0,
             playing=frame is None,
         )

@@ -11,8 +11,9 @@ from vtkmodules.vtkRenderingCore import vtkAssembly, vtkProp3D
 
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Probed
-from bubbleviz.membrane import MembraneMesh
+from bubbleviz.membrane import MembraneMesh, build_mesh
 from bubbleviz.output import ComparedResult
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.frame_history import FrameHistory
@@ -229,6 +230,12 @@ class Scene:
         # known bounds, as VTK would compute them from every point of every layer
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
+
+    def show_at_rest(self, sensor: Sensor) -> None:
+        """Draw the membrane at rest, before a source is open."""
+        self.set_sensor(sensor, build_mesh(sensor))
+        depth_m = np.full((sensor.camera.height, sensor.camera.width), np.nan, np.float32)
+        self.show(Result(Frame(0, 0.0, depth_m)), self._state.settings)
 
     def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings while their frame is shown."""
