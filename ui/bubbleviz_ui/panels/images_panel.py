@@ -291,14 +291,19 @@ class ImagesPanel(QWidget):
     # -- drawing ------------------------------------------------------------------------------
 
     def _make(self) -> list[Part]:
-        self.cells = {
-            name: (ColourCell if kind.colouring == "colour" else ImageCell)(kind)
-            for name, kind in IMAGES.items()
-        }
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         self._host.canvas.installEventFilter(self)
         self._arrange()
-        return list(self.cells.values())
+        return []  # each is created when it is first chosen
+
+    def _cell(self, name: str) -> ImageCell:
+        """The image of a name, created when it is first chosen."""
+        if name not in self.cells:
+            kind = IMAGES[name]
+            cell = ColourCell(kind) if kind.colouring == "colour" else ImageCell(kind)
+            self.cells[name] = cell
+            self._host.add(cell)
+        return self.cells[name]
 
     def _arrange(self) -> None:
         """Arrange the chosen images in the grid that shows them largest."""
@@ -309,7 +314,7 @@ class ImagesPanel(QWidget):
         if self._arranged == [(name, columns) for name in shown]:
             return
         self._arranged = [(name, columns) for name in shown]
-        self._host.arrange([self.cells[name].frame for name in shown], columns)
+        self._host.arrange([self._cell(name).frame for name in shown], columns)
         self._draw()
 
     def _draw(self) -> None:
@@ -322,7 +327,7 @@ class ImagesPanel(QWidget):
             images |= {"patch": mask} if mask is not None else {}
         self._residual_max_m = self._scales.of(self._state.settings).residual_m
         for name in self._state.settings.images:
-            cell = self.cells[name]
+            cell = self._cell(name)
             if isinstance(cell, ColourCell):
                 cell.show_colour(inspection.colour)
                 continue
@@ -333,7 +338,7 @@ class ImagesPanel(QWidget):
 
     def _on_mouse(self, place: QPointF) -> None:
         for name in self._state.settings.images:
-            box = self.cells[name].box
+            box = self._cell(name).box
             if box.sceneBoundingRect().contains(place) and self._has_depth_pixels(name):
                 at = box.mapSceneToView(place)
                 self._hover.at_pixel(math.floor(at.y()), math.floor(at.x()))

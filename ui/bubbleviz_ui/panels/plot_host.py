@@ -37,7 +37,7 @@ class PlotHost(QWidget):
     def __init__(self, make: Callable[[], Sequence[Part]], spacing: int = 2) -> None:
         super().__init__()
         self._make, self._spacing = make, spacing
-        self._parts: Sequence[Part] = ()
+        self._parts: list[Part] = []
         self.canvas: Any = None
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(0, 0, 0, 0)
@@ -56,8 +56,13 @@ class PlotHost(QWidget):
             self.canvas.ci.layout.setSpacing(self._spacing)
             self.canvas.ci.setContentsMargins(0, 0, 0, 0)
             self._column.addWidget(self.canvas)
-            self._parts = self._make()
+            self._parts += self._make()
             self._paint()
+
+    def add(self, part: Part) -> None:
+        """Have a part that was created after the canvas follow the theme."""
+        self._parts.append(part)
+        part.paint(*self._text_colours())
 
     def arrange(self, items: Sequence[Any], columns: int = 1) -> None:
         """Arrange the items in a grid, replacing all others."""
@@ -84,10 +89,14 @@ class PlotHost(QWidget):
             self._paint()
 
     def _paint(self) -> None:
-        roles, palette = QPalette.ColorRole, self.palette()
-        self.canvas.setBackground(palette.color(roles.Base))
+        self.canvas.setBackground(self.palette().color(QPalette.ColorRole.Base))
         for part in self._parts:
-            part.paint(palette.color(roles.PlaceholderText), palette.color(roles.Text))
+            part.paint(*self._text_colours())
+
+    def _text_colours(self) -> tuple[QColor, QColor]:
+        """Colours of secondary text and of text."""
+        roles, palette = QPalette.ColorRole, self.palette()
+        return palette.color(roles.PlaceholderText), palette.color(roles.Text)
 
 
 # Common style of all plots: axes, grid, and a heading.

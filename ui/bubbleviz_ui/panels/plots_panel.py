@@ -148,7 +148,8 @@ class PlotsPanel(QWidget):
     def sizeHint(self) -> QSize:
         """Two rows of plots, even before any exist, and the table; a smaller panel scrolls."""
         width, height = CELL
-        rest = self.choose.sizeHint().height() + self._column.spacing()
+        buttons = self.choose.sizeHint().expandedTo(self.analyse.sizeHint())
+        rest = buttons.height() + self._column.spacing()
         if not self.statistics.isHidden():
             rest += self.statistics.maximumHeight() + self._column.spacing()
         return QSize(2 * width, 2 * height + rest).grownBy(self._column.contentsMargins())
@@ -161,21 +162,36 @@ class PlotsPanel(QWidget):
     # -- drawing ------------------------------------------------------------------------------
 
     def _make(self) -> list[Part]:
-        for name, trace in TRACES.items():
-            self.plots[name] = plot = TimePlot(trace)
-            plot.box.sigXRangeChanged.connect(self._draw_soon)
-            plot.cursor.sigDragged.connect(self._on_dragged)
-        self.kappa, self.wrench = KappaPlot(), WrenchPlot()
-        self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
         self._host.canvas.scene().sigMouseClicked.connect(self._on_click)
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         self._host.canvas.installEventFilter(self)
-        self._show_all_time()
-        return [*self.plots.values(), self.kappa, self.wrench]
+        return []  # each is created when it is first chosen
 
     def _shown(self) -> list[Any]:
-        made: dict[str, Any] = {**self.plots, "kappa": self.kappa, "wrench": self.wrench}
-        return [made[name] for name in PLOTS if name in self._state.settings.plots]
+        """The chosen plots, created where they are new."""
+        return [self._plot(name) for name in PLOTS if name in self._state.settings.plots]
+
+    def _plot(self, name: str) -> TimePlot | KappaPlot | WrenchPlot:
+        made = {**self.plots, "kappa": self.kappa, "wrench": self.wrench}.get(name)
+        if made is None:
+            made = self._new_plot(name)
+            self._host.add(made)
+        return made
+
+    def _new_plot(self, name: str) -> TimePlot | KappaPlot | WrenchPlot:
+        if name == "wrench":
+            self.wrench = WrenchPlot()
+            return self.wrench
+        if name == "kappa":
+            self.kappa = KappaPlot()
+            self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
+            return self.kappa
+        self.plots[name] = plot = TimePlot(TRACES[name])
+        plot.box.sigXRangeChanged.connect(self._draw_soon)
+        plot.cursor.sigDragged.connect(self._on_dragged)
+        if self._state.facts is not None:
+            plot.show_all(self._state.facts.times_s)
+        return plot
 
     def _arrange(self) -> None:
         """Arrange the chosen plots in a grid."""
