@@ -227,8 +227,11 @@ class View(QtInteractor):  # type: ignore[misc]
 
     def paintGL(self) -> None:
         """Render for Qt when it composes the window: first, after resizing, for a screenshot."""
+        if self._resizing:  # Qt asks again when it composes the window
+            return
         start = time.perf_counter()
         self._newer_than_qt = False
+        self._due.stop()  # what was to be redrawn is drawn now
         super().paintGL()
         self.busy_s += time.perf_counter() - start
 
@@ -299,8 +302,13 @@ class View(QtInteractor):  # type: ignore[misc]
     _pressed = QPointF(-1e6, -1e6)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
+        self._resizing = True
         super().resizeEvent(event)
+        self._resizing = False
         self.resized.emit()
+        self.update()
+
+    _resizing = False
 
     def leaveEvent(self, event: QEvent) -> None:
         super().leaveEvent(event)
