@@ -69,6 +69,11 @@ def test_collecting_is_cancelled_and_repeated_frames_are_skipped(drive, resting)
     assert not box.collector.active and bench.panel.calibration.work.collected is None
 
 
+def refusals(bench):
+    """How often too few frames were refused."""
+    return sum("at least 5" in message.text for message in bench.window.messages.all)
+
+
 def test_collecting_again_replaces_the_frames(drive):
     cameras = list[Camera]()
     opened = lambda sensor: cameras.append(Camera(sensor)) or cameras[0]  # noqa: E731
@@ -97,6 +102,10 @@ def test_collecting_again_replaces_the_frames(drive):
     assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated")
     assert panel.steps.button(0).toolTip().endswith("needs attention")
+    refused = refusals(bench)
+    bench.wait(lambda: panel.next.text() == "Try again")
+    bench.click(panel.next)
+    bench.wait(lambda: refusals(bench) == refused + 1 and panel.next.text() == "Try again")
     cameras[0].stuck = None
     bench.collect(9)
     bench.wait(lambda: len(bench.answer.found.samples.frames) == 9)

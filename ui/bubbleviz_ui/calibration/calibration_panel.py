@@ -198,7 +198,13 @@ class CalibrationPanel(QWidget):
         calibration.controller.opening.about_to_open.connect(self._on_about_to_open)
 
     def _on_next(self) -> None:
-        """Go to the next page and compute its step; on the first page, first compute its own."""
+        """Go to the next page and compute its step; on the first page, first compute its own.
+
+        After a failure, compute the step that failed again.
+        """
+        if self._failed:
+            self.calibration.repeat()
+            return
         if not isinstance(self.page, FramesPage) or self.calibration.settings.last_step:
             self.go_to(self.stack.currentIndex() + 1)
         self.page.enter()
@@ -227,6 +233,13 @@ class CalibrationPanel(QWidget):
         if message.topic == CALIBRATION:
             self._failed_work = self.calibration.work if message.kind == "error" else None
 
+    @property
+    def _failed(self) -> bool:
+        """Whether the last computation failed, and no setting has been changed since."""
+        calibration = self.calibration
+        failed = self._failed_work == calibration.work and calibration.outdated
+        return failed and not calibration.busy
+
     def _show(self) -> None:
         calibration, page = self.calibration, self.page
         answer, busy = calibration.answer, calibration.busy
@@ -240,6 +253,8 @@ class CalibrationPanel(QWidget):
             button.setVisible(page is self.report)
         computed = following.is_done(answer) and not calibration.outdated
         to_do = following.next_title if started else self.frames.next_title
+        if self._failed:
+            to_do = "Try again"
         self.next.setText(f"Next: {following.title}" if computed else to_do)
         self.next.setEnabled(not needs_collecting)
         self.back.setEnabled(place > 0)
@@ -274,7 +289,7 @@ class CalibrationPanel(QWidget):
         """State of a step; failed and doubtful ones need attention."""
         answer, page = self.calibration.answer, self.pages[number]
         changed = self._first_outdated_step()
-        refused = self._failed_work == self.calibration.work and number == changed
+        refused = self._failed and number == changed
         verdict = answer.verdict(self.units)
         doubtful = verdict is not None and verdict.grade == "doubtful"
         press = answer.found.validation

@@ -165,6 +165,11 @@ class Calibration(QObject):
         if self.settings.last_step < step:
             self.edit(text, last_step=step)
 
+    def repeat(self) -> None:
+        """Compute the step that failed again, with the same settings."""
+        self._compute(self.work)
+        self.changed.emit()
+
     def cancel(self) -> None:
         """Stop computing and restore the previous settings."""
         if not self.busy:

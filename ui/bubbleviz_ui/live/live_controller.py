@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from bubbleviz.live import LiveSensor, SessionPreset
+from bubbleviz.live import LiveSensor, SessionPreset, is_simulated
 from bubbleviz.recordings import gas_warning
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.controller import Controller
@@ -26,6 +26,7 @@ from bubbleviz_ui.view3d.render_view import View
 
 UPDATE_MS = 200
 """Period of status updates."""
+CAMERA_HUNG = "the depth camera repeats one image, to the last bit; restart the camera"
 
 
 class LiveController(QObject):
@@ -185,15 +186,16 @@ class LiveController(QObject):
         self.updated.emit()
 
     def _warn(self) -> None:
-        """Warn once per sensor whose gas pressure contradicts its file, or never changes."""
+        """Warn once per sensor of data that never change, and of a gas pressure unlike its file."""
         sensors = () if self.run is None else self.run.session.sensors
         found: set[str] = set()
         for live in sensors:
             zero = live.zero
-            text = zero.frozen_warning("source") or gas_warning(
+            gas = zero.frozen_warning("source") or gas_warning(
                 zero.rest_pa, zero.reference_pa, "without contact"
             )
-            if text:
+            hung = live.stream.frozen and not is_simulated(live.place.source)
+            for text in filter(None, (gas, CAMERA_HUNG if hung else "")):
                 found.add(f"{live.place.name}: {text}." if len(sensors) > 1 else f"{text}.")
         for text in sorted(found - self._warnings):
             self.state.messages.add("warning", text)
