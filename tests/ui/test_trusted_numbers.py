@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QColor
-from window_driver import CONTACT, view_texts
+from window_driver import CONTACT, LEFT, graphics_view, view_texts
 
 from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
@@ -78,6 +78,18 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     known = driver.state.history.values["force_n"]
     np.testing.assert_allclose(scatter.dots.getData(), (values, known), atol=1e-9)
     assert scatter.here.getData()[1] == pytest.approx(known[PRESSED])
+    # a click on the point of another frame shows that frame, one beside all points none
+    driver.wait_for_redraw()
+    shown = graphics_view(window.plots)
+    for frame, beside in ((0, 40), (FRAMES - 1, -40)):  # px, towards the middle
+        before = driver.state.frame
+        at = scatter.box.mapViewToScene(QPointF(values[frame], known[frame]))
+        at = shown.mapFromScene(at)
+        driver.bot.mouseClick(shown.viewport(), LEFT, pos=at + QPoint(beside, 0))
+        assert driver.state.frame == before
+        driver.bot.mouseClick(shown.viewport(), LEFT, pos=at)
+        driver.wait(lambda: values[driver.state.frame] == pytest.approx(values[frame]))  # noqa: B023
+    driver.seek(PRESSED)
     # rubber and linear are compared side by side
     driver.show("compare")
     driver.window.panels["compare"].raise_()

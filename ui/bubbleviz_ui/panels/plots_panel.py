@@ -54,7 +54,7 @@ class PlotsPanel(QWidget):
         self.cancel.setToolTip("Stop and keep the frames computed so far")
         self.progress = QProgressBar()
         self.statistics = RangeTable()
-        self.hint = theme.dim(QLabel("Click in a plot to seek that time"))
+        self.hint = theme.dim(QLabel("Click in a plot to show that frame"))
         self._lay_out()
         self._connect()
         state.frame_changed.connect(self._on_frame)
@@ -272,10 +272,16 @@ class PlotsPanel(QWidget):
             self.kappa.draw(curve, result, self._state.settings.kappa, self._state.units)
 
     def _on_click(self, event: Any) -> None:
-        found = self._under(event.scenePos())
+        place = event.scenePos()
+        found = self._under(place)
         if found is not None:
             self._seek(found[1])
             event.accept()
+        elif self.wrench is not None and self._is_under(self.wrench, "wrench", place):
+            frame = self.wrench.frame_at(place)
+            if frame is not None:
+                self._state.seek(frame)
+                event.accept()
 
     def _on_mouse(self, place: QPointF) -> None:
         """Show the values under the mouse in the heading of the plot."""
@@ -292,10 +298,14 @@ class PlotsPanel(QWidget):
     def _under(self, place: QPointF) -> tuple[str, float] | None:
         """Plot at a position of the canvas, and its time there, s."""
         for name, plot in self.plots.items():
-            inside = plot.box.sceneBoundingRect().contains(place)
-            if inside and name in self._state.settings.plots:
+            if self._is_under(plot, name, place):
                 return name, float(plot.box.mapSceneToView(place).x())
         return None
+
+    def _is_under(self, plot: TimePlot | WrenchPlot, name: str, place: QPointF) -> bool:
+        """Whether a position of the canvas is in a plot, which is shown."""
+        inside = plot.box.sceneBoundingRect().contains(place)
+        return bool(inside) and name in self._state.settings.plots
 
     def _on_dragged(self, line: Any) -> None:
         self._seek(float(line.value()))

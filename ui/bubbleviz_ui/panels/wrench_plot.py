@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from PySide6.QtCore import QPointF
 from PySide6.QtGui import QColor
 
 from bubbleviz_ui.model.frame_history import MEASURED_FORCE, FrameHistory
@@ -13,6 +14,8 @@ from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 DOT, RING = 4, 9
 """Sizes of a frame and of the mark around the one at the cursor, px."""
+REACH = 8.0
+"""Largest distance of a click from the middle of its point, px."""
 
 
 class WrenchPlot:
@@ -46,6 +49,15 @@ class WrenchPlot:
         """Mark a frame, if it has both forces."""
         at = self._forces[:, frame : frame + 1]
         self.here.setData(*at[:, np.isfinite(at[0])])
+
+    def frame_at(self, place: QPointF) -> int | None:
+        """Frame whose point is at a position of the scene, else None."""
+        at, pixel = self.box.mapSceneToView(place), self.box.viewPixelSize()
+        away = (self._forces - [[at.x()], [at.y()]]) / np.reshape(pixel, (2, 1))
+        squares = np.where(np.isfinite(away), away, np.inf) ** 2
+        if not squares.size or squares.sum(axis=0).min() > REACH**2:
+            return None
+        return int(squares.sum(axis=0).argmin())
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Apply the theme's colours."""
