@@ -71,6 +71,7 @@ class RecordControls(QWidget):
         fill(QHBoxLayout(self._during), (self.progress, 1), self.note, margins=none)
         self._stack.addWidget(self._before)
         self._stack.addWidget(self._during)
+        self._stack.setMinimumHeight(self.note.sizeHint().height())  # that appears later
         self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         fill(QHBoxLayout(self), self._stack, margins=none)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
