@@ -2,7 +2,9 @@
 
 Points of the object that are inside the membrane push it outward:
 
-    ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j,   f_j = k_j × depth of point j.
+    ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j + t,   f_j = k_j × depth of point j.
+
+Friction t is that of the estimate. Its change by the object's motion is not part of the derivative.
 
 Newton's method from the membrane of the last pose, in a `Submodel` around the contact; the last
 tangent also gives the derivative by the object's motion. An edge that moves over the membrane takes
@@ -312,14 +314,15 @@ class PressedMembrane:
         if gas_pressure_pa is not None and np.isfinite(gas_pressure_pa):
             gas = HeldPressure(gas_pressure_pa - self._gas.P0)
         part = self._around(contact)
+        friction = midway(contact.friction_pa, part.ends) * part.mesh.areas[:, None]
         if self._last is not None:
             start = _extrapolated(self._last, T_B_O, self._options.max_step_m)
-            self._last = self._solve(part, start, T_B_O, contact.center, gas)
+            self._last = self._solve(part, start, T_B_O, contact.center, friction, gas)
         if self._last is None:
             self._object.reset()
             estimated = midway(contact.membrane, part.ends)
             start = np.where(part.mesh.rim[:, None], part.mesh.nodes, estimated)
-            self._last = self._solve(part, start, T_B_O, contact.center, gas)
+            self._last = self._solve(part, start, T_B_O, contact.center, friction, gas)
         return self._last
 
     def _around(self, contact: ContactPoints) -> Submodel:
@@ -340,9 +343,10 @@ class PressedMembrane:
         x: np.ndarray,
         T_B_O: np.ndarray,
         center: np.ndarray,
+        friction: np.ndarray,
         gas: Gas | HeldPressure,
     ) -> Press | None:
-        """Newton's method from nodes x (k, 3)."""
+        """Newton's method from nodes x (k, 3), under friction (k, 3) on them."""
         triangles = part.mesh.triangles
         for _ in range(self._options.max_steps):
             if not np.isfinite(x).all():
@@ -351,7 +355,7 @@ class PressedMembrane:
             push = touching.on_nodes(touching.force_n[:, None] * touching.normals, len(x))
             try:
                 blocks = touching.blocks(len(triangles))
-                tangent, missed = part.linearised(x, push, blocks, touching.corners, gas)
+                tangent, missed = part.linearised(x, push + friction, blocks, touching.corners, gas)
             except RuntimeError:  # singular
                 return None
             step = tangent.moved(missed[None])[0]

@@ -39,6 +39,7 @@ class ContactPoints:
     normals: np.ndarray
     areas_m2: np.ndarray  # (k,), membrane area that each represents
     pressure_pa: np.ndarray  # (k,), contact pressure
+    friction_pa: np.ndarray  # (n, 3), at all nodes, on areas at rest
     free: np.ndarray  # (f, 3), around the patch, where the membrane touches nothing
     free_areas_m2: np.ndarray  # (f,)
     center: np.ndarray  # (3,), mean of `points`, weighted by area
@@ -74,6 +75,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         return None
     facets = vectors / areas[:, None]
     share = 0.25 * np.repeat(areas, 4)
+    friction = np.zeros_like(nodes) if estimate.friction_n is None else estimate.friction_n
     center = share[on] @ points[on] / share[on].sum()
     at_rest = np.einsum("qj,tjk->tqk", _CENTRES, mesh.nodes[triangles]).reshape(-1, 3)
     spread = share[on] @ np.sum((points[on] - center) ** 2, axis=1) / share[on].sum()
@@ -85,6 +87,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         normals=facets[kept // 4],
         areas_m2=share[kept] * (share[on].sum() / share[kept].sum()),
         pressure_pa=pressure[kept],
+        friction_pa=friction / mesh.areas[:, None],
         free=points[free],
         free_areas_m2=np.full(len(free), share[on].mean()),
         center=center,

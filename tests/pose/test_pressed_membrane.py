@@ -75,6 +75,27 @@ def test_press_of_a_ball_equals_the_forward_model(pipeline, rubber, contact):
     assert np.linalg.norm(found.force_n - force) < 0.03 * np.linalg.norm(force)
 
 
+def test_press_of_a_dragged_ball_equals_the_forward_model(pipeline, rubber, contact):
+    """Under the friction that acts, the membrane is where it is by Coulomb's law."""
+    ball, start, gas = study_object("sphere"), pose(), pipeline.estimator.bubble.gas
+    forward = RubberForward(rubber, gas)
+    there = moved(start, np.array([2e-3, 0.0, 0.0, 0.0, 0.0, 0.0]), start[:3, 3])
+    *_, dragged = forward.follow(ball, [start, there], 0.8, forward.press(ball, start))
+    assert dragged.converged
+    x, force = pipeline.mesh.nodes + dragged.displacement_3d_m, dragged.nodal_force_n
+    push = x - (there[:3, 3] + [0.0, 0.0, 0.015])  # out of the ball
+    push /= np.linalg.norm(push, axis=1)[:, None]
+    friction = force - np.einsum("ni,ni->n", force, push)[:, None] * push
+    assert np.linalg.norm(friction.sum(axis=0)) > 0.5
+    membrane, far = pressed(pipeline, rubber, "sphere"), []
+    for pulled in (friction, np.zeros_like(friction)):
+        under = replace(contact, friction_pa=pulled / pipeline.mesh.areas[:, None])
+        found = membrane.press(there, under)
+        far.append(found.nodes - x[found.part.ends[:, 0]])
+    with_it, without = np.linalg.norm(far, axis=2).max(axis=1)
+    assert with_it < 0.2 * without
+
+
 def slope_of(motion, size, membrane, contact):
     """Slope of a motion over its finite difference along the normals, and their correlation."""
     press = membrane.press(pose(), contact)
@@ -162,7 +183,8 @@ def test_moved_object_needs_few_steps(pipeline, rubber, contact, monkeypatch):
 
 
 def test_without_contact_the_membrane_is_at_rest(pipeline, rubber, contact):
-    press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), contact)
+    alone = replace(contact, friction_pa=np.zeros_like(contact.friction_pa))
+    press = pressed(pipeline, rubber, "cylinder").press(pose(z=0.2), alone)
     assert np.abs(press.nodes - press.part.mesh.nodes).max() < 1e-6
     assert not press.slopes.any()
     assert not press.on_face.any()

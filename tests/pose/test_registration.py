@@ -38,6 +38,7 @@ def contact_of(points, normals, free=None):
         normals=-normals,
         areas_m2=np.full(len(points), 1e-6),
         pressure_pa=np.full(len(points), 2e3),
+        friction_pa=np.zeros((0, 3)),
         free=free,
         free_areas_m2=np.full(len(free), 1e-6),
         center=center,
