@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from typing import TypeVar
 
@@ -417,23 +417,17 @@ class RubberProblem:
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
             np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
         ]
-        for rubber, share in self._other_rubbers:
-            membrane = rubber(float(vector[0]))
-            other = self._predicted(vector, membrane)
+        for rubber, at_rest_m, share in self._other_rubbers:
+            other = self._predicted(vector, rubber(float(vector[0])))
             if other is not None:
-                at_rest_m = self._observer.around(membrane.mesh.nodes).model_m
                 change = self._changes(other, at_rest_m).ravel() - change_m
                 errors.append(-share * influence.T @ np.nan_to_num(change + residuals))
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
-        divided = [
-            _view_parts(self._observer, change, pressed=self._pressed) for change in self._change_m
-        ]
-        sets = [np.concatenate(each) for each in zip(*divided, strict=True)]
-        for part in sets:
+        for part in self._divisions:
             count = int(part.max()) + 1
             steps = np.stack([step(weight * (part != k)) for k in range(count)])
-            share = np.sqrt((count - 1) / count / len(sets)) * student_factor(count - 1)
+            share = np.sqrt((count - 1) / count / len(self._divisions)) * student_factor(count - 1)
             errors += list(share * (steps - steps.mean(axis=0)))
         # of the shapes with their model errors, for the tempering; then with the priors' errors
         covariance = self._noise(influence, known) + sum(np.outer(e, e) for e in errors)
@@ -443,18 +437,28 @@ class RubberProblem:
         return covariance, temper
 
     @cached_property
-    def _other_rubbers(self) -> list[tuple[Rubber, float]]:
-        """Rubber to estimate model errors, and the rms share of its difference that is an error."""
+    def _divisions(self) -> list[np.ndarray]:
+        """Part of the view of each block of all shapes, (S·B,) int, per division."""
+        divide = partial(_view_parts, self._observer, pressed=self._pressed)
+        return [np.concatenate(each) for each in zip(*map(divide, self._change_m), strict=True)]
+
+    @cached_property
+    def _other_rubbers(self) -> list[tuple[Rubber, float | np.ndarray, float]]:
+        """Rubber to estimate model errors, ranges of its surface, and rms share of its difference.
+
+        That is the share of its difference from the fitted rubber that is an error.
+        """
         # Stress at rest follows from curvature. On simulated round sheets and domes a fitted cap
         # moves G by −2 %, and the free form by +2 and −4 % (by 0 without noise).
         mesh, slack_m, sheet = self._mesh, self._slack_m, self._surfaces.as_flat_sheet
+        other = self._surfaces.other_mesh
         smoother = Prestress.of(mesh, 1.0, STRESS_DEGREE - 2).on(mesh)
-        others = [
-            (_rest_rubber(mesh, slack_m, smoother), 1.0),
-            (_rest_rubber(self._surfaces.other_mesh, slack_m), 1.0),
+        others: list[tuple[Rubber, float | np.ndarray, float]] = [
+            (_rest_rubber(mesh, slack_m, smoother), 0.0, 1.0),
+            (_rest_rubber(other, slack_m), self._observer.around(other.nodes).model_m, 1.0),
         ]
         if sheet is not None:  # the stress lies anywhere between that of a film and of a sheet
-            others.append((_rest_rubber(mesh, slack_m, sheet[0]), 1.0 / np.sqrt(3.0)))
+            others.append((_rest_rubber(mesh, slack_m, sheet[0]), 0.0, 1.0 / np.sqrt(3.0)))
         return others
 
     @cached_property

@@ -72,12 +72,18 @@ class MembraneMesh:
         return Assembly.of(self.corners, np.arange(len(self.nodes)), len(self.nodes))
 
     @cached_property
-    def rings(self) -> np.ndarray:
-        """Each node and its neighbours, (d, n) int: one column per node, padded with the node."""
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """A node and its neighbour for both directions of every edge, (2e,) int each, sorted."""
         count = len(self.nodes)
         start, end = self.triangles.ravel(), np.roll(self.triangles, -1, axis=1).ravel()
         pairs = np.unique(np.concatenate([start * count + end, end * count + start]))
         node, neighbour = np.divmod(pairs, count)
+        return node, neighbour
+
+    @cached_property
+    def rings(self) -> np.ndarray:
+        """Each node and its neighbours, (d, n) int: one column per node, padded with the node."""
+        count, (node, neighbour) = len(self.nodes), self.neighbours
         place = 1 + np.arange(len(node)) - np.searchsorted(node, np.arange(count))[node]
         rings = np.tile(np.arange(count), (1 + place.max(initial=0), 1))
         rings[place, node] = neighbour
@@ -92,6 +98,15 @@ class MembraneMesh:
         cosine = np.einsum("ijk,ijk->ij", out, back)
         sine = np.linalg.norm(np.cross(out, back), axis=2)
         return np.arctan2(sine, cosine)
+
+    @cached_property
+    def rim_lengths(self) -> np.ndarray:
+        """Length of the rim represented by each node, shape (n,), m; 0 off the rim."""
+        triangle, corner = np.nonzero(triangles_across(self.triangles) < 0)
+        start, end = (self.triangles[triangle, (corner + k) % 3] for k in (1, 2))
+        half = 0.5 * np.linalg.norm(self.nodes[start] - self.nodes[end], axis=1)
+        count = len(self.nodes)
+        return np.bincount(start, half, minlength=count) + np.bincount(end, half, minlength=count)
 
     @property
     def edge_length(self) -> float:

@@ -129,9 +129,7 @@ class Prestress:
         unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc, degree)
         moved = _virtual_displacements(mesh, disc, degree)[mesh.triangles]  # (m, 3, q)
         load = curvature * np.einsum("tx,tcq->xq", mesh.facet_vectors / 3.0, moved)
-        pull = mesh.facet_areas[:, None, None] * np.einsum(
-            "tax,ktab,bc->ktcx", edges_of(mesh), unit, _FROM_EDGES
-        )
+        pull = mesh.facet_areas[:, None, None] * (_FROM_EDGES.T @ unit @ edges_of(mesh))
         work = np.stack(
             [
                 np.einsum("tcx,tcq->txq", each, moved).reshape(len(each), -1).T @ polynomials
@@ -227,10 +225,11 @@ def _fields(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
     edges, on_disc = edges_of(mesh), disc[mesh.triangles]
     back = np.linalg.inv((on_disc[:, 1:] - on_disc[:, :1]).swapaxes(1, 2))
     metric = back.swapaxes(1, 2) @ (edges @ edges.swapaxes(1, 2)) @ back
-    values, vectors = np.linalg.eigh(metric)
-    root = np.einsum("tia,ta,tja->tij", vectors, values**-0.5, vectors)
-    way = back @ root
-    fields: np.ndarray = np.einsum("tia,kab,tjb->ktij", way, _SYMMETRIC, way)
+    # g^(−1/2) = ((tr g + s) I − g) / (s √(tr g + 2 s)) with s = √det g
+    s, trace = np.sqrt(np.linalg.det(metric)), np.trace(metric, axis1=1, axis2=2)
+    root = (trace + s)[:, None, None] * np.eye(2) - metric
+    way = back @ (root / (s * np.sqrt(trace + 2.0 * s))[:, None, None])
+    fields: np.ndarray = way @ _SYMMETRIC[:, None] @ way.swapaxes(1, 2)
     return fields
 
 

@@ -21,7 +21,7 @@ from scipy import sparse
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.assembly import FIRST, SECOND, Assembly
-from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
+from bubbleviz.membrane.mesh import MembraneMesh
 
 FAR_STRETCHED = 1e3
 """λ in place of infinity: 1/det C is then below rounding, and only the springs remain."""
@@ -98,7 +98,7 @@ class RubberMembrane:
         self.moving = mesh.free if rim_slack_m is None else np.arange(len(mesh.nodes))
         self.rim_springs = np.zeros(len(mesh.nodes))
         if rim_slack_m is not None:
-            self.rim_springs = self.mean_tension / rim_slack_m * _rim_lengths(mesh)
+            self.rim_springs = self.mean_tension / rim_slack_m * mesh.rim_lengths
 
     @classmethod
     def uniform(
@@ -303,8 +303,11 @@ class RubberMembrane:
     @property
     def mean_tension(self) -> float:
         """Mean tension of the reference surface, N/m."""
-        trace = np.trace(self.stress(self.mesh.nodes), axis1=1, axis2=2)
-        return float(0.5 * trace @ self.mesh.facet_areas / self.mesh.facet_areas.sum())
+        # half the trace of `stress` times the area
+        edges, area = edges_of(self.mesh), self.mesh.facet_areas
+        stretched = np.einsum("tij,tij->t", self.inverse, edges @ edges.swapaxes(1, 2))
+        springs = 0.5 * (self.mu_h * self.stress_free_area) @ stretched
+        return float((springs + self._area_law(area)[0] @ area) / area.sum())
 
     def _area_law(self, area: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """ψ′ and ψ″ of the area terms, N/m and N/m³."""
@@ -350,13 +353,3 @@ def edges_of(mesh: MembraneMesh) -> np.ndarray:
     corners = mesh.nodes[mesh.triangles]
     edges: np.ndarray = corners[:, 1:] - corners[:, :1]
     return edges
-
-
-def _rim_lengths(mesh: MembraneMesh) -> np.ndarray:
-    """Length of the rim represented by each node, (n,), m; 0 off the rim."""
-    across = triangles_across(mesh.triangles)
-    triangle, corner = np.nonzero(across < 0)
-    ends = mesh.triangles[triangle, (corner + 1) % 3], mesh.triangles[triangle, (corner + 2) % 3]
-    half = 0.5 * np.linalg.norm(mesh.nodes[ends[0]] - mesh.nodes[ends[1]], axis=1)
-    count = len(mesh.nodes)
-    return np.bincount(ends[0], half, minlength=count) + np.bincount(ends[1], half, minlength=count)

@@ -45,14 +45,11 @@ def area_and_bending(mesh: MembraneMesh) -> tuple[float, float]:
 
 def area_shares(mesh: MembraneMesh) -> np.ndarray:
     """Factor (n,) by which nodes' areas grow when free nodes take over those of the rim."""
-    start, end = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-    both = np.stack([np.concatenate([start, end]), np.concatenate([end, start])], axis=1)
-    edges = np.unique(both, axis=0)
-    edges = edges[mesh.rim[edges[:, 0]] & ~mesh.rim[edges[:, 1]]]  # from the rim inward
-    count = len(mesh.nodes)
-    heirs = np.bincount(edges[:, 0], minlength=count)
-    given = mesh.areas[edges[:, 0]] / heirs[edges[:, 0]]
-    total = np.where(mesh.rim, 0.0, mesh.areas) + np.bincount(edges[:, 1], given, minlength=count)
+    count, (node, neighbour) = len(mesh.nodes), mesh.neighbours
+    inward = mesh.rim[node] & ~mesh.rim[neighbour]
+    node, neighbour = node[inward], neighbour[inward]
+    given = mesh.areas[node] / np.bincount(node, minlength=count)[node]
+    total = np.where(mesh.rim, 0.0, mesh.areas) + np.bincount(neighbour, given, minlength=count)
     # A rim node without a free neighbour (a corner) leaves its area to all.
     return total / mesh.areas * mesh.areas.sum() / total.sum()
 
