@@ -73,8 +73,11 @@ dome to 0.85 of its radius has its contact edge there; smaller or rounder object
 _RINGS, _SECTORS = 4, 8
 """Parts of the view for the jackknife, each larger than the correlation length of model errors:
 rings of equal numbers of blocks from rim to top for a level, sectors around the dent of a press."""
-_TOLERANCE = 1e-4  # relative change of the sum of squares that ends the fit, far below its noise
+_TOLERANCE = 1e-3  # relative change of the sum of squares that ends the fit, far below its noise
 _MAX_EVALUATIONS = 60
+_PRESSURE_STEP = 10.0
+"""Contact pressure over the gauge pressure in the trust region's norm: the first step, from no
+contact to some hundred nodes of up to a few gauge pressures, is then taken whole."""
 _NEWTON_STEPS, _EQUILIBRIUM = 30, 1e-6
 """Most steps to equilibrium, and its largest residual over the load on a node of mean area."""
 _SLOW = 0.3  # ratio of residuals from which a new factor takes less time than more steps; chosen
@@ -378,6 +381,7 @@ class RubberProblem:
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
         x_scale[:2] = 0.1
+        x_scale[2 : self._errors.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
             loss=loss, xtol=tolerance, ftol=tolerance,  # type: ignore[arg-type]  # loss's name in stubs

@@ -173,10 +173,8 @@ Caps = tuple[Ellipsoid, Ellipsoid]
 def _centred(caps: Caps, camera: DepthCamera, on: int) -> tuple[Caps, DepthCamera]:
     """Caps and camera in a frame shifted in x and y so that its z axis contains a cap's centre."""
     shift = caps[on].centre_m * (1.0, 1.0, 0.0)
-    T_B_C = camera.T_B_C.copy()
-    T_B_C[:3, 3] -= shift
     sphere, cap = (replace(each, centre_m=each.centre_m - shift) for each in caps)
-    return (sphere, cap), DepthCamera(camera.intrinsics, T_B_C)
+    return (sphere, cap), camera.shifted(-shift)
 
 
 def _left_out_squares(

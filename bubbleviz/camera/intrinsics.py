@@ -149,6 +149,14 @@ class DepthCamera:
         own = {each.name: getattr(camera, each.name) for each in fields(Intrinsics)}
         return cls(intrinsics or Intrinsics(**own), camera.T_B_C)
 
+    def shifted(self, shift_m: np.ndarray) -> DepthCamera:
+        """The camera moved in B by (3,), m, with the rays of this one."""
+        T_B_C = self.T_B_C.copy()
+        T_B_C[:3, 3] += shift_m
+        moved = DepthCamera(self.intrinsics, T_B_C)
+        moved.directions, moved.range_per_depth = self.directions, self.range_per_depth
+        return moved
+
     @property
     def center(self) -> np.ndarray:
         """Camera centre c in B, shape (3,), m."""
