@@ -91,12 +91,15 @@ Rubber = Callable[[float], RubberMembrane]
 def _rest_rubber(
     mesh: MembraneMesh,
     slack_m: float | None,  # as in `RubberMembrane`
-    stress: np.ndarray | None = None,  # at rest, as of `Prestress.on`; None: from the surface
+    stress: np.ndarray,  # at rest, as of `Prestress.on`
 ) -> Rubber:
     tension = 1.0 / mean_curvature(mesh)  # γ0, m
-    if stress is None:
-        stress = Prestress.of(mesh, 1.0).on(mesh)
     return lambda q: prestressed(mesh, 1.0, tension / (1.0 - q), stress, slack_m)
+
+
+def _film_stress(mesh: MembraneMesh, degree: int = STRESS_DEGREE) -> np.ndarray:
+    """Stress by statics that is the closest to that of a film of uniform tension."""
+    return Prestress.of(mesh, 1.0, degree).on(mesh)
 
 
 Shape = tuple[ShapeRanges, Factor]
@@ -129,7 +132,12 @@ class RubberProblem:
         self._stress_sigma = found.material.of_shape.sigma / found.material.of_shape.value
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
-        self._rubber = lru_cache(maxsize=2)(_rest_rubber(mesh, self._slack_m))
+        # On an oval rim statics leaves the stress open: it lies anywhere between that of a film and
+        # that of an initially flat sheet. The middle is fitted.
+        film, sheet = _film_stress(mesh), self._surfaces.as_flat_sheet
+        self._half_open = np.zeros_like(film) if sheet is None else 0.5 * (sheet[0] - film)
+        self._stress = film + self._half_open
+        self._rubber = lru_cache(maxsize=2)(_rest_rubber(mesh, self._slack_m, self._stress))
         self._shapes, self._pressed = shapes, pressed
         pressures = np.array([_mean_pressure(each) for each in (rest, *shapes)])
         self.rises_pa = tuple((pressures[1:, 0] - pressures[0, 0]).tolist())
@@ -454,16 +462,14 @@ class RubberProblem:
         """
         # Stress at rest follows from curvature. On simulated round sheets and domes a fitted cap
         # moves G by −2 %, and the free form by +2 and −4 % (by 0 without noise).
-        mesh, slack_m, sheet = self._mesh, self._slack_m, self._surfaces.as_flat_sheet
-        other = self._surfaces.other_mesh
-        smoother = Prestress.of(mesh, 1.0, STRESS_DEGREE - 2).on(mesh)
-        others: list[tuple[Rubber, float | np.ndarray, float]] = [
-            (_rest_rubber(mesh, slack_m, smoother), 0.0, 1.0),
-            (_rest_rubber(other, slack_m), self._observer.around(other.nodes).model_m, 1.0),
+        mesh, half, other = self._mesh, self._half_open, self._surfaces.other_mesh
+        at_rest_m, uniform = self._observer.around(other.nodes).model_m, 1.0 / np.sqrt(3.0)
+        rubber = partial(_rest_rubber, slack_m=self._slack_m)
+        return [
+            (rubber(mesh, stress=_film_stress(mesh, STRESS_DEGREE - 2) + half), 0.0, 1.0),
+            (rubber(other, stress=_film_stress(other) + half), at_rest_m, 1.0),
+            (rubber(mesh, stress=self._stress + half), 0.0, uniform),
         ]
-        if sheet is not None:  # the stress lies anywhere between that of a film and of a sheet
-            others.append((_rest_rubber(mesh, slack_m, sheet[0]), 0.0, 1.0 / np.sqrt(3.0)))
-        return others
 
     @cached_property
     def _observed(self) -> list[tuple[DepthStatistics, np.ndarray]]:
