@@ -17,12 +17,18 @@ def changed(sensor, **sections):
     return sensor.model_copy(update=values)
 
 
+def coarser(sensor, times):
+    """Values of the sensor's camera with so many times fewer pixels a side."""
+    own = sensor.camera
+    width, height = own.width // times, round(own.height / times)
+    center = {"cx": 0.5 * (width - 1), "cy": 0.5 * (height - 1)}
+    return {"width": width, "height": height, "fx": own.fx / times, "fy": own.fy / times, **center}
+
+
 def write_small_sensor(path):
     """The pico flexx preset with a coarse mesh and a quarter of the pixels a side."""
     sensor = load_sensor("pico_flexx_75mm")
-    own = sensor.camera
-    camera = {"width": 56, "height": 43, "fx": own.fx / 4, "fy": own.fy / 4, "cx": 27.5, "cy": 21.0}
-    small = changed(sensor, membrane={"nodes": 200}, camera=camera)
+    small = changed(sensor, membrane={"nodes": 200}, camera=coarser(sensor, 4))
     path.write_text(sensor_to_toml(small), encoding="utf-8")
     return path
 
