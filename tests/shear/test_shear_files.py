@@ -98,7 +98,7 @@ def test_frames_with_damaged_or_small_colour_images_use_depth_only(tmp_path):
 
 def estimated(press, sensor, out, *options):
     """Force with friction of pressed and dragged frames, estimated with these options."""
-    words = ("--sensor", sensor, "--shear", "--out", out, "--frames", f"{HELD - 4}:{HELD}")
+    words = ("--sensor", sensor, "--shear", "--out", out, "--frames", f"{HELD - 4}:{HELD}:2")
     output_of("estimate", press, *words, *options)
     with np.load(out) as result:
         return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
