@@ -69,11 +69,6 @@ print({heavy!r} in sys.modules)
     [
         (
             "open3d", "visualization", "dash",
-            "from open3d import core; from open3d.t.geometry import RaycastingScene",
-            "import open3d; assert callable(open3d.visualization.draw_plotly)",
-        ),
-        (
-            "open3d", "visualization", "dash",
             "from open3d.pipelines import registration",
             "import open3d.visualization as v; assert callable(v.draw_plotly)",
         ),

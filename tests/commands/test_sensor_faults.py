@@ -78,11 +78,11 @@ def drift(image, k):
     return np.where(image > 0.0, image - np.float32(0.5e-3 * min(k, 59) / 59), 0.0)
 
 
-def estimated(recording, folder, sensor="punyo_oval_d405"):
+def estimated(recording, folder, sensor="punyo_oval_d405", *options):
     """Status, force, σ of each frame and what stderr says."""
     table = folder / f"{recording.stem}.csv"
     words = ("--sensor", sensor, "--out", table.with_suffix(".npz"), "--csv", table)
-    done = run("estimate", recording, *words)
+    done = run("estimate", recording, *words, *options)
     assert done.exit_code in (0, 2), done.output
     if done.exit_code:
         return [], np.zeros((0, 3)), np.zeros((0, 3)), done.stderr
@@ -131,5 +131,5 @@ def test_a_tension_outside_its_interval_is_refused_or_warned_of(punyo_press, tmp
     assert "tension_n_per_m = 219.285" in text
     sensor.write_text(text.replace("= 219.285", "= 21.9285"), encoding="utf-8")
     recording = rewritten(punyo_press, tmp_path / "copy.mcap", lambda *_: None)
-    *_, warnings = estimated(recording, tmp_path, sensor)
+    *_, warnings = estimated(recording, tmp_path, sensor, "--frames", "0:3")
     assert "tension_n_per_m = 21.9285 in the sensor file is outside the interval" in warnings

@@ -87,7 +87,7 @@ def test_prior_of_friction_is_as_wide_as_the_frame_says():
 @pytest.mark.parametrize("name", ["sphere", pytest.param("puck", marks=pytest.mark.long)])
 def test_noise_is_not_taken_for_friction(name):
     """Presses without friction at 1 % of noise; the ground truth is on a separate mesh."""
-    truth, eyes = press(name, 0.004)[0].moved(Motion(np.zeros(3))), Eyes(1000)
+    truth, eyes = press(name, 0.004)[0].moved(Motion(np.zeros(3))), Eyes()
     errors = []
     for seed in range(6):
         seen = sighting(eyes.pipeline.camera, truth, DepthNoise(relative=0.01), FLOW_PX, seed)
@@ -102,7 +102,7 @@ def test_noise_is_not_taken_for_friction(name):
 )
 def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist):
     """The ground truth is on a separate mesh, with friction not proportional to pressure."""
-    truth, eyes = stuck(name, depth, drag, twist), Eyes(1000)
+    truth, eyes = stuck(name, depth, drag, twist), Eyes()
     frame, size = eyes.see(truth), np.linalg.norm(truth.force_n)
     result = eyes.pipeline.process(frame, PRODUCTS)
     estimate, center = result.estimate, result.patch.center_of_pressure_m
@@ -112,7 +112,7 @@ def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist)
     off = np.abs(result.patch.torque_nm - truth.torque_nm(center))
     assert (off < 1.96 * estimate.torque_sigma_about(center)).all()
     np.testing.assert_allclose(estimate.force_n, estimate.nodal_force_n.sum(axis=0))
-    frictionless = Pipeline.of(sensor(1000), options=EstimatorOptions(friction=0.0))
+    frictionless = Pipeline.of(sensor(), options=EstimatorOptions(friction=0.0))
     without = frictionless.process(frame, PRODUCTS).estimate
     assert np.linalg.norm(without.force_n - truth.force_n) > 0.08 * size or not without.trusted
 
@@ -132,7 +132,7 @@ def test_more_friction_than_expected_gives_a_warning():
 
 
 def test_long_drag_is_tracked_by_depth_alone():
-    eyes, path = Eyes(1000), press("puck", 0.004)[0]
+    eyes, path = Eyes(), press("puck", 0.004)[0]
     for truth in path.along([Motion(np.array([1.0, 0.4, 0.0]) * k * 1e-3) for k in range(5)]):
         estimate = eyes.pipeline.process(eyes.see(truth), PRODUCTS).estimate
         assert estimate.status == "ok"

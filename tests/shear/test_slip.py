@@ -74,7 +74,7 @@ def test_no_alarm_by_errors_of_facets():
 def test_slip_is_measured_from_the_same_contact_only():
     """A jump or an outage may have led to another contact; frames left out in playback have not."""
     path, _ = press("puck", 0.005)
-    eyes = Eyes(1000)
+    eyes = Eyes()
     motions = [Motion(k * STEP_M * np.array([1.0, 0.3, 0.0]), 0.0) for k in range(4)]
     frames = [eyes.see(truth, k) for k, truth in enumerate(path.along(motions))]
 
