@@ -20,16 +20,10 @@ from benchmarks.edge import (
 from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
-from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, with_nodes
 
 ONE = DepthNoise(relative=0.01)
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("pico_flexx_75mm")
 
 
 @pytest.fixture(scope="module")

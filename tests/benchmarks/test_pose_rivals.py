@@ -3,13 +3,11 @@
 import os
 
 import numpy as np
-import pytest
 
 from benchmarks.cloud_registration import CloudRegistration, has_small_gicp
 from benchmarks.pose_rivals import BOTH, WHOLE_CLOUD, PoseGrid, rivals_study
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pose import moved
-from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import study_object
 
 LONG = "TEST_ALL" in os.environ
@@ -17,11 +15,6 @@ LONG = "TEST_ALL" in os.environ
 GRID = PoseGrid(
     objects=("cross",), poses=2 if LONG else 1, noises_relative=(0.01,), truth_nodes=1_500, seed=5
 )
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("pico_flexx_75mm")
 
 
 def test_rival_methods_register_a_complete_surface():

@@ -1,6 +1,7 @@
 """Synthetic twin of the real press: an oval, tilted, imperfect dome seen by a noisy camera."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -69,12 +70,8 @@ def make_twin(seed=0, pressure=True, noise_seed=None, frames=FREE + PRESSED):
     The same seed with another `noise_seed` gives another recording of the same sensor.
     """
     rng = np.random.default_rng(seed)
-    intrinsics = Intrinsics(160, 120, 107.4, 107.2, 78.4, 61.9)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = TILT.as_matrix(), (-0.0391, -0.0003, -0.054)
-    camera = DepthCamera(intrinsics, T)
-    truth = bumpy(mesh_cap(EllipsoidalCap.of(RIM, HEIGHT, VERTICAL), 4000))
-    rest = cast(truth, camera, np.zeros(len(truth.nodes)))
+    truth, camera = true_dome()
+    rest = pressed(0.0)
     rows, columns = np.indices(rest.shape)
     near_rim = np.isfinite(rest) & (columns > 150)
     false = ((rows - 8) ** 2 + (columns - 8) ** 2 < 36) & ~np.isfinite(rest)
@@ -82,15 +79,13 @@ def make_twin(seed=0, pressure=True, noise_seed=None, frames=FREE + PRESSED):
     holes = rng.random(rest.shape) < 0.03
     if noise_seed is not None:
         rng = np.random.default_rng(noise_seed)
-    dent = -np.exp(-np.sum((truth.nodes[:, :2] - (0.0, 0.008)) ** 2, axis=1) / 0.008**2)
     noise = np.zeros(rest.shape)
     depth, pressures = [], []
     for k in range(frames):
         press = float(np.clip((k - FREE + 1) / 8.0, 0.0, 1.0))
-        image = rest if press == 0.0 else cast(truth, camera, 5e-3 * press * dent)
         fresh = gaussian_filter(rng.standard_normal(rest.shape), 1.0) / 0.28
         noise = 0.6 * noise + 0.8 * fresh
-        image = image + static * 0.5 + 5e-5 * noise + 1.5e-3 * near_rim
+        image = pressed(press) + static * 0.5 + 5e-5 * noise + 1.5e-3 * near_rim
         image = np.where(false, 0.11 + 1e-3 * rng.standard_normal(rest.shape), image)
         outlier = rng.random(rest.shape) < 0.02
         image = np.where(outlier, image + 0.01, image)
@@ -100,9 +95,26 @@ def make_twin(seed=0, pressure=True, noise_seed=None, frames=FREE + PRESSED):
         gas = ATMOSPHERE + GAUGE + RISE * press + 5.0 * rng.standard_normal()
         pressures.append(gas if pressure else None)
     return Twin(
-        "twin", np.arange(len(depth)) / 30.0, np.stack(depth), pressures, intrinsics, camera,
+        "twin", np.arange(len(depth)) / 30.0, np.stack(depth), pressures, camera.intrinsics, camera,
         truth, false, near_rim,
     )  # fmt: skip
+
+
+@cache
+def true_dome():
+    """The membrane and its camera."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = TILT.as_matrix(), (-0.0391, -0.0003, -0.054)
+    camera = DepthCamera(Intrinsics(160, 120, 107.4, 107.2, 78.4, 61.9), T)
+    return bumpy(mesh_cap(EllipsoidalCap.of(RIM, HEIGHT, VERTICAL), 4000)), camera
+
+
+@cache
+def pressed(share):
+    """Ranges without noise at a share of the press."""
+    truth, camera = true_dome()
+    dent = -np.exp(-np.sum((truth.nodes[:, :2] - (0.0, 0.008)) ** 2, axis=1) / 0.008**2)
+    return cast(truth, camera, 5e-3 * share * dent)
 
 
 def bumpy(mesh):

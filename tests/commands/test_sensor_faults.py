@@ -1,4 +1,4 @@
-"""Errors of pressure, depth and camera in the recording of the real press, by the command alone.
+"""Errors of depth and camera in the recording of the real press, by the command alone.
 
 A frame must be refused, warned of, or have the force of the undisturbed recording in its interval.
 """
@@ -19,15 +19,15 @@ ROWS, COLUMNS, DENT = 480, 640, (259, 289)
 """Size of the images, and the pixel (u, v) of the press."""
 FOCAL_LENGTHS = (132, 164, 276, 316)
 """Where a camera info has fx, fy, fx, fy."""
-STEP = 3 if "TEST_ALL" in os.environ else 6
-"""Of so many frames one is kept."""
+STEP, CONTACT = 3 if "TEST_ALL" in os.environ else 6, 60
+"""Of so many frames one is kept, of half as many before contact."""
 
 
 def rewritten(folder, target, change):
     """Copy a recording; `change(topic, data, k)` edits the k-th message of a topic."""
 
     def edited(topic, data, k):
-        if topic.endswith("image_rect_raw") and k % STEP:
+        if topic.endswith("image_rect_raw") and k % (STEP if k >= CONTACT else 2 * STEP):
             return None
         data = bytearray(data)
         change(topic, data, k)
@@ -42,15 +42,6 @@ def depth(change):
             image = np.frombuffer(data, "<f4", offset=len(data) - 4 * ROWS * COLUMNS)
             image = image.reshape(ROWS, COLUMNS)
             image[:] = change(image.copy(), k)
-
-    return edit
-
-
-def pressure(shift_pa):
-    def edit(topic, data, _):
-        if topic.endswith("/pressure"):
-            (value,) = struct.unpack_from("<d", data, len(data) - 16)
-            struct.pack_into("<d", data, len(data) - 16, value + shift_pa)
 
     return edit
 
@@ -106,8 +97,7 @@ def undisturbed(punyo_press, tmp_path_factory):
 @pytest.mark.parametrize(
     "change",
     [
-        # other shifts of the same press by the library: calibration/test_weather.py
-        pytest.param(pressure(1000), id="pressure +1000 Pa"),
+        # shifts of the gas pressure of the same press: calibration/test_weather.py
         pytest.param(depth(drift), id="depth drifts by 0.5 mm"),
         pytest.param(depth(lambda image, _: image * np.float32(0.995)), id="depth × 0.995"),
         pytest.param(focal_length(1.02), id="focal lengths × 1.02"),

@@ -11,7 +11,6 @@ from bubbleviz.errors import InputError
 from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
-from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, strided
 from bubbleviz.study.accuracy import (
@@ -45,11 +44,6 @@ GRID = Grid(
     truth_nodes=1_500,
     limit_s=None,
 )
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("pico_flexx_75mm")
 
 
 @pytest.fixture(scope="module")

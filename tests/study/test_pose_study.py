@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import moved, precision_of
-from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import Press, SyntheticSource, study_object, with_nodes
 from bubbleviz.study.pose import Grid, PoseMetrics, pose_study
 from tests.program import rows_of
@@ -19,11 +18,6 @@ LONG = "TEST_ALL" in os.environ
 """Else fewer presses on coarser meshes, which are not judged by their errors."""
 OBJECTS = ("cylinder", "two_spheres") if LONG else ("two_spheres",)
 """What is pressed into rubber; a flat face takes as long again."""
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("pico_flexx_75mm")
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import with_nodes, with_pixels
 from bubbleviz.study.accuracy import Setup
 from bubbleviz.study.harness import write
@@ -22,11 +21,6 @@ from bubbleviz.study.speed import (
     targets,
 )
 from tests.program import python
-
-
-@pytest.fixture(scope="module")
-def sensor():
-    return load_sensor("pico_flexx_75mm")
 
 
 @pytest.fixture(scope="module")
