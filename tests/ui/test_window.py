@@ -195,7 +195,7 @@ def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
         assert "Eq." in TIPS[name] or "V-C" in TIPS[name]
 
 
-def test_new_source_of_a_sensor_keeps_camera_and_settings(drive, sensor):
+def test_new_source_keeps_camera_and_settings_and_is_shown_whole(drive, sensor):
     first = DentSource(sensor)
     driver = drive(lambda _: first, frame=6)
     view = driver.window.view
@@ -211,12 +211,7 @@ def test_new_source_of_a_sensor_keeps_camera_and_settings(drive, sensor):
     assert driver.state.settings.kappa == 2.5 and driver.shows_chosen_kappa()
     assert driver.state.settings.membrane_opacity == 0.5
     assert first.closed
-
-
-def test_sensor_of_another_size_is_shown_whole(drive, sensor):
-    driver = drive(DentSource, frame=6)
-    view = driver.window.view
-    turn_view(driver)
+    # a sensor of another size
     turn_wheel(view, 5)  # zooms
     half = Membrane(rim_radius_m=0.0375, height_m=0.025, nodes=150)
     other = sensor.model_copy(update={"name": "half", "membrane": half})

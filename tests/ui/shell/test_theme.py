@@ -97,21 +97,6 @@ def within(widget, place):
     return painted(widget)[top : place.bottom() - 2, left : place.right() - 28]
 
 
-def test_unchecked_boxes_and_separators_of_menus_are_visible(drive):
-    driver = drive(frame=3)
-    menu = next(a.menu() for a in driver.window.menuBar().actions() if "View" in a.text())
-    box = next(a for a in menu.actions() if a.isCheckable() and not a.isChecked())
-    line = next(a for a in menu.actions() if a.isSeparator())
-    for title in ("Dark", "Light"):
-        choose(driver, title)
-        menu.popup(driver.window.pos())
-        for action in (box, line):
-            place = menu.actionGeometry(action)
-            part = painted(menu)[place.top() : place.bottom() + 1, place.left() + 4 : 28]
-            assert selected(part) > 3.0, (title, action.text())  # WCAG 2, parts of controls
-        menu.close()
-
-
 def test_checked_buttons_stand_out_also_in_panels_shown_later(drive):
     driver = drive(frame=3)
     loop, playback = driver.window.playback.loop, driver.window.panels["playback"]
@@ -128,7 +113,7 @@ def test_checked_buttons_stand_out_also_in_panels_shown_later(drive):
         assert contrast(grounds[True], grounds[False]) > 3.0, title
 
 
-def test_contrast_of_selected_and_disabled_text(drive):
+def test_contrast_of_marks_and_of_selected_and_disabled_text(drive):
     driver = drive(frame=3)
     for title in ("Dark", "Light"):
         choose(driver, title)
@@ -136,6 +121,16 @@ def test_contrast_of_selected_and_disabled_text(drive):
 
 
 def check_contrasts(driver):
+    # unchecked boxes and separators of menus
+    menu = next(a.menu() for a in driver.window.menuBar().actions() if "View" in a.text())
+    menu.popup(driver.window.pos())
+    box = next(a for a in menu.actions() if a.isCheckable() and not a.isChecked())
+    line = next(a for a in menu.actions() if a.isSeparator())
+    for action in (box, line):
+        place = menu.actionGeometry(action)
+        part = painted(menu)[place.top() : place.bottom() + 1, place.left() + 4 : 28]
+        assert selected(part) > 3.0, action.text()  # WCAG 2, parts of controls
+    menu.close()
     menu = next(a.menu() for a in driver.window.menuBar().actions() if "File" in a.text())
     menu.popup(driver.window.pos())
     action = menu.actions()[0]
