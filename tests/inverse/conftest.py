@@ -1,6 +1,7 @@
 """A small press simulated on another, finer mesh, and the rubber dome of another solver."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -37,8 +38,13 @@ class Press:
         return CAMERA.depth_image(noisy).astype(np.float32)
 
 
+@cache
+def fine_mesh():
+    return build_mesh(SENSOR, 6000)
+
+
 def press(name, depth_m):
-    mesh = build_mesh(SENSOR, 6000)
+    mesh = fine_mesh()
     T_B_O = np.eye(4)
     T_B_O[:3, 3] = [0.006, -0.004, 0.05 - depth_m]
     model = ForwardModel(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))

@@ -28,12 +28,13 @@ from tests.inverse.conftest import (
     SENSOR,
     dome_images,
     estimator,
+    fine_mesh,
     first,
     press,
 )
 from tests.rubber_renders import rubber_truth
 
-MESH, NODE_RATIO = build_mesh(SENSOR, 2000), build_mesh(SENSOR, 6000)
+MESH = build_mesh(SENSOR, 2000)
 
 
 def overlap(a, b):
@@ -125,9 +126,10 @@ def test_the_edge_does_not_move_outwards_on_a_mesh_finer_than_the_blur(radius, w
     The contour of a narrow one lies outside its edge.
     """
     resolution = 0.003
-    field = blurred(lambda r: 5.0 * GAUGE * (r < radius), resolution, NODE_RATIO)
-    assert NODE_RATIO.edge_length < 0.8 * resolution
-    patch = PatchFinder(NODE_RATIO, GAUGE, resolution).find(made_up(field))
+    mesh = fine_mesh()
+    field = blurred(lambda r: 5.0 * GAUGE * (r < radius), resolution, mesh)
+    assert mesh.edge_length < 0.8 * resolution
+    patch = PatchFinder(mesh, GAUGE, resolution).find(made_up(field))
     assert patch.area_m2 == pytest.approx(np.pi * radius**2, rel=within)
 
 

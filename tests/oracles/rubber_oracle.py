@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 from math import acos, asin, cos, pi, sin
 from typing import Any
 
@@ -27,6 +27,7 @@ from scipy.optimize import root
 from bubbleviz.errors import SolveError
 from bubbleviz.membrane import MembraneMesh, mesh_cap, spherical_cap
 
+_cap = cache(lambda rim_m, height_m, nodes: mesh_cap(spherical_cap(rim_m, height_m), nodes))
 _START = 1e-5
 """Share of the meridian at which integration begins; the apex is isotropic up to there."""
 
@@ -62,7 +63,7 @@ class RubberPress:
         """Mesh of the deformed surface, as dense along the meridian as the cap's."""
         r, z = (np.concatenate([[v[0]], v]) for v in (self.meridian.r_m, self.meridian.z_m))
         r[0] = 0.0
-        cap = mesh_cap(spherical_cap(rim_m, height_m), nodes)
+        cap = _cap(rim_m, height_m, nodes)
         height = np.interp(np.hypot(*cap.nodes[:, :2].T), r, z)
         height[cap.rim] = 0.0
         return replace(cap, nodes=np.column_stack([cap.nodes[:, :2], height]))

@@ -90,7 +90,10 @@ def test_slip_is_measured_from_the_same_contact_only():
     assert slip_of(1, 0.1) is None  # back
     assert slip_of(2, 0.2) is not None
     assert slip_of(3, 5.0) is None  # after an outage
+    assert slip_of(0, 0.0) is None
+    assert slip_of(1, 0.1) is not None
     eyes.pipeline.restart()
+    assert slip_of(2, 0.2) is None
     assert slip_of(0, 0.0) is None
     assert slip_of(2, 1.0) is None  # jumped forward
     assert slip_of(3, 2.0) is not None  # the next frame of a slow recording
