@@ -5,12 +5,13 @@ import os
 import shutil
 import signal
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import psutil
 import pytest
-from small_press import small_source, write_press
+from small_press import record, small_source
 
 import bubbleviz as bv
 from bubbleviz.api.batching import (
@@ -65,8 +66,9 @@ def lives(process):
 @pytest.fixture(scope="module")
 def long_original(sensor, tmp_path_factory):
     """Takes longer than a worker outlives its parent: 0.2 s."""
-    path = tmp_path_factory.mktemp("long") / "z.mcap"
-    return write_press(path, sensor, (0.044, 0.043) * (LONG // 2))
+    pressed = list(small_source(sensor, (0.044, 0.043))) * (LONG // 2)
+    frames = (replace(each, index=k, time_s=k / 30.0) for k, each in enumerate(pressed))
+    return record(tmp_path_factory.mktemp("long") / "z.mcap", frames)
 
 
 @pytest.fixture
