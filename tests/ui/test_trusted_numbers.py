@@ -159,6 +159,19 @@ def test_during_playback_every_number_drawn_is_of_one_frame(drive):
         assert len(set(frames)) == 1 and len(set(forces)) == 1, (frames, forces)
 
 
+def test_the_force_of_an_object_at_rest_says_how_many_images_it_is_of(drive, sensor, tmp_path):
+    dent, random = DentSource(sensor)[PRESSED], np.random.default_rng(0)
+    noise = 3e-4 * random.standard_normal((9, *dent.depth_m.shape), dtype=np.float32)
+    held = (
+        replace(dent, index=k, time_s=k / 30.0, depth_m=dent.depth_m + noise[k]) for k in range(9)
+    )
+    path = record(tmp_path / "held.mcap", held)
+    driver = drive(lambda _: Recording(path), frame=4)
+    tip = driver.window.status.labels["force"].toolTip()
+    assert driver.result.frame.images > 5
+    assert f"from the mean of {driver.result.frame.images} depth images" in tip
+
+
 def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
     driver = drive(lambda sensor: Measured(sensor, PRESSED), frame=PRESSED)
     window, result = driver.window, driver.result
