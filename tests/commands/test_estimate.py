@@ -91,10 +91,6 @@ def test_result_has_every_documented_key(result):
     assert {key for key, kind in kinds.items() if kind == "b"} == flags
     assert {key for key, kind in kinds.items() if kind == "i"} == whole
     assert {key for key, kind in kinds.items() if kind == "f"} == set(kinds) - texts - flags - whole
-
-
-def test_result_has_its_provenance(result):
-    assert tomllib.loads(str(result["sensor_toml"]))["name"] == load_sensor(PRESET).name
     assert str(result["version"]) == bubbleviz.__version__
 
 
@@ -313,8 +309,3 @@ def test_real_press_is_found_at_the_poker(press):
     miss = np.linalg.norm(press["center_of_pressure_m"][held][:, :2] - dent, axis=1)
     assert np.all(miss <= 3e-3), f"up to {1e3 * miss.max():.1f} mm off"
     assert press["patch_mask"][held].any(axis=(1, 2)).all()
-
-
-def test_real_press_has_a_physically_consistent_force(press):
-    force = np.linalg.norm(press["force_n"][press["frame"] >= 72], axis=1)
-    assert np.all((force >= 2.5) & (force <= 5.0)), f"{force.min():.2f} … {force.max():.2f} N"

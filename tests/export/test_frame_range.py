@@ -1,5 +1,7 @@
 """Frame ranges against Python's own slices."""
 
+from itertools import product
+
 import pytest
 from hypothesis import given, strategies as st
 
@@ -44,11 +46,12 @@ def test_what_is_wrong_with_a_range_is_said(text, words):
 PARTS = ("", "0", "3", "12", " 5 ", "-1", "+2", "1_0", "²", "٣", "a", "1 2", "\n", ".5")
 
 
-@given(st.lists(st.sampled_from(PARTS), max_size=4), st.integers(1, 30))
-def test_any_text_gives_frames_or_one_sentence_of_error(parts, count):
-    try:
-        chosen = parse_frames(":".join(parts), count, "rec")
-    except InputError:
-        return
-    assert 0 <= chosen[0] <= chosen[-1] < count
-    assert all(part.isascii() and "_" not in part for part in parts)
+def test_any_text_gives_frames_or_one_sentence_of_error():
+    for length in range(4):
+        for parts in product(PARTS, repeat=length):
+            try:
+                chosen = parse_frames(":".join(parts), 20, "rec")
+            except InputError:
+                continue
+            assert 0 <= chosen[0] <= chosen[-1] < 20
+            assert all(part.isascii() and "_" not in part for part in parts)

@@ -297,13 +297,10 @@ def test_window_force_and_panels_fit_a_small_screen(drive):
         assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
     driver.window.resize(1500, 800)
     driver.wait(lambda: labels["dropped"].isVisible())
-    # like 1024×700 at 150 %, minus the frame
     window = driver.window
-    window.resize(850, 427)
-    driver.wait(lambda: window.minimumSize().width() <= 675)
-    window.resize(675, 427)
+    driver.resize_to_smallest()
     driver.wait_until_shown()
-    assert (window.width(), window.height()) == (675, 427)
+    assert driver.size == (675, 427)
     assert window.playback.mapTo(window, window.playback.rect().bottomRight()).x() <= 675
     assert window.layers.visibleRegion().boundingRect().height() > 50
     assert window.view.width() > 350 and window.view.height() > 150
@@ -346,13 +343,11 @@ def seen(widget):
 
 
 def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive, tmp_path):
-    """As in a window of 1024×700 pixels at 150 %, minus the frame, with the first-run hint."""
+    """With the first-run hint."""
     driver = drive(DentSource, frame=6)
     window, panels = driver.window, driver.window.panels
     window.hint.show()
-    window.resize(850, 427)
-    driver.wait(lambda: window.minimumSize().width() <= 675)
-    driver.resize(675, 427)
+    driver.resize_to_smallest()
     opened = "shear", "plots", "images", "threshold", "pose", "calibration", "compare", "tools"
     for name in opened:
         driver.show(name)
@@ -394,9 +389,7 @@ def right_end(driver, text):
 def test_readout_leaves_most_of_a_low_view_free(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
-    window.resize(850, 427)
-    driver.wait(lambda: window.minimumSize().width() <= 675)
-    driver.resize(675, 427)
+    driver.resize_to_smallest()
     driver.show("plots", "pose")
     driver.wait_until_shown()
     window.messages.add("warning", 20 * "long message ")

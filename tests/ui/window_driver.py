@@ -215,6 +215,12 @@ class Driver:
         self.window.resize(width, height)
         self.wait(lambda: self.size == (width, height))
 
+    def resize_to_smallest(self):
+        """As in a window of 1024×700 pixels at 150 %, minus the frame."""
+        self.window.resize(850, 427)
+        self.wait(lambda: self.window.minimumSize().width() <= 675)
+        self.resize(675, 427)
+
     @property
     def size(self):
         return self.window.width(), self.window.height()

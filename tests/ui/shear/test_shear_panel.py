@@ -117,9 +117,7 @@ def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_p
     # the texture's reason fits into a narrow view
     window = driver.window
     driver.state.change(layers=frozenset({"membrane", "texture"}))
-    window.resize(850, 427)
-    driver.wait(lambda: window.minimumSize().width() <= 675)
-    driver.resize(675, 427)
+    driver.resize_to_smallest()
     driver.wait_until_shown()
     (note,) = (text for text in text_actors(driver) if "colour images" in text.GetInput())
     note.GetBoundingBox(window.view.renderer, box := [0.0] * 4)
