@@ -6,7 +6,6 @@ import threading
 
 import numpy as np
 import pytest
-from distributed import LocalCluster
 
 from bubbleviz.api.batching import Job, batch, run_job
 from bubbleviz.errors import InputError
@@ -15,6 +14,8 @@ from bubbleviz.processes import check_cluster, dask_cluster
 
 @pytest.fixture(scope="module")
 def address():
+    from distributed import LocalCluster  # each process of the suite would load it
+
     with LocalCluster(
         n_workers=2,
         threads_per_worker=1,

@@ -61,7 +61,7 @@ def test_tension_and_radius_of_a_sphere(spheres):
         assert not found.pixels.bias_m[~found.pixels.mask].any()
 
 
-@pytest.mark.parametrize("make", [sphere, oval])
+@pytest.mark.parametrize("make", [pytest.param(sphere, marks=pytest.mark.long), oval])
 def test_outliers_holes_and_tilt(make):
     dome = make(
         3, DepthNoise(relative=0.01, outliers=0.05, holes=0.1, correlation_px=0.5), frames=20

@@ -56,8 +56,11 @@ def stopped(words, folder, by, eventually):
 
 
 @pytest.mark.parametrize(
-    "name",  # the table of `pose` is written as that of `estimate`
-    [pytest.param(each, marks=pytest.mark.long) if each == "pose" else each for each in WRITING],
+    "name",  # the table of `pose` is written as that of `estimate`, `simulate` as `convert`
+    [
+        pytest.param(each, marks=pytest.mark.long if each in ("simulate", "pose") else ())
+        for each in WRITING
+    ],
 )
 def test_a_terminated_command_leaves_no_file(name, given, tmp_path, eventually):
     """SIGTERM, as of `timeout` and systemd, while it writes."""

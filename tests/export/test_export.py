@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import open3d
 import pyarrow.parquet
 import pytest
 import pyvista
@@ -155,6 +154,8 @@ def test_the_index_of_a_series_names_its_files(folder):
 
 
 def test_ply_of_the_membrane(folder, estimated):
+    import open3d
+
     path = folder / f"all.of it_membrane_{PRESSED:06d}.ply"
     mesh = open3d.t.io.read_triangle_mesh(str(path))
     u = estimated["displacement_m"][PRESSED]
@@ -168,6 +169,8 @@ def test_ply_of_the_membrane(folder, estimated):
 
 
 def test_patch_clouds_are_the_measured_points_in_the_patch(folder, press, estimated):
+    import open3d
+
     cloud = open3d.t.io.read_point_cloud(str(folder / f"all.of it_patch_{PRESSED:06d}.ply"))
     points = cloud.point.positions.numpy()
     with Recording(press) as recording:

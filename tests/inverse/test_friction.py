@@ -98,7 +98,11 @@ def test_noise_is_not_taken_for_friction(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "depth", "drag", "twist"), [("puck", 0.004, 0.001, 8.0), ("sphere", 0.006, 0.002, 0.0)]
+    ("name", "depth", "drag", "twist"),
+    [
+        ("puck", 0.004, 0.001, 8.0),
+        pytest.param("sphere", 0.006, 0.002, 0.0, marks=pytest.mark.long),  # in short: ball_drag1
+    ],
 )
 def test_friction_of_a_sticking_object_that_is_dragged(name, depth, drag, twist):
     """The ground truth is on a separate mesh, with friction not proportional to pressure."""
@@ -131,6 +135,7 @@ def test_more_friction_than_expected_gives_a_warning():
     assert bv.estimate(frames, sensor(), zero_gas=False).warning is None
 
 
+@pytest.mark.long  # in short: ball_drag1, below
 def test_long_drag_is_tracked_by_depth_alone():
     eyes, path = Eyes(), press("puck", 0.004)[0]
     for truth in path.along([Motion(np.array([1.0, 0.4, 0.0]) * k * 1e-3) for k in range(5)]):

@@ -222,7 +222,7 @@ def test_highly_stretched_rubber_is_solved_from_rest(depth):
     assert estimate.contact_pressure_pa.max() < 2.0 * contact.contact_pressure_pa.max()
 
 
-@pytest.mark.parametrize("noise_m", [1e-4, 5e-4])
+@pytest.mark.parametrize("noise_m", [1e-4, pytest.param(5e-4, marks=pytest.mark.long)])
 def test_the_solution_does_not_depend_on_the_warm_start(noise_m):
     solver = estimator(1000, relative=noise_m / 0.065)
     finder = PatchFinder(solver.mesh, solver.held_pressure_pa, solver.resolution_m)
@@ -317,7 +317,7 @@ def test_sigma_of_a_light_touch_includes_the_uncertainty_of_the_material(measure
     assert by_material == pytest.approx(abs(b.force_n[2] - a.force_n[2]), rel=0.3)
 
 
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize("measured", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_sigma_includes_the_uncertainty_of_the_material(measured):
     """Against a second solve with the other tension, and the scatter of noisy frames.
 

@@ -1,7 +1,6 @@
 """Object models: closest points, smooth normals, creases, refusals, samples."""
 
 import numpy as np
-import open3d
 import pytest
 from scipy.spatial import ConvexHull
 
@@ -78,6 +77,8 @@ def test_millimetres_taken_for_metres_are_refused():
 @pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])
 def test_distances_are_those_of_a_signed_distance_field(name):
     """Inside and outside, near faces and edges; the sign by counting ray crossings."""
+    import open3d
+
     obj = study_object(name)
     rng = np.random.default_rng(0)
     low, high = obj.vertices.min(axis=0), obj.vertices.max(axis=0)

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import open3d
 import pytest
 
 from bubbleviz.membrane import ObjectSurface, RubberForward, Submodel
@@ -208,6 +207,8 @@ def test_impossible_press_is_none(pipeline, rubber, contact):
 
 def ranges(pipeline, pixels, nodes, triangles):
     """Range of some of the observer's pixels, m; inf where a ray meets no triangle."""
+    import open3d
+
     observer = pipeline.estimator.observer
     rays = observer.camera.directions[observer.pixel[pixels]]
     scene = open3d.t.geometry.RaycastingScene()
