@@ -173,6 +173,8 @@ class LiveBar(QFrame):
         super().__init__()
         self._live, self._pair, self._units = live, pair, units
         self.state = QLabel(wordWrap=True)
+        # in a narrow bar the rate needs a second line at times: the bar does not jump
+        self.state.setMinimumHeight(2 * self.state.fontMetrics().height())
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
         self.zero = self._button(
