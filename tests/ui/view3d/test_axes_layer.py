@@ -60,6 +60,7 @@ def test_membrane_left_of_colour_bars_and_scale_bar_of_correct_length(drive):
     # colour bars adapt their number of labels: no overlap
     driver.state.change(layers=frozenset({"membrane", "cloud"}))
     window.scene.reset_view()
+    driver.wait(lambda: driver.result.cloud_residual_m is not None)  # before, no second bar
     counts = []
     for height in (700, 340, 100):
         window.resize(1024, height)

@@ -178,8 +178,9 @@ class ColourBar:
         bar.SetMaximumNumberOfColors(ENTRIES)
         set_text_style(view, bar.GetTitleTextProperty(), TEXT)
         set_text_style(view, bar.GetLabelTextProperty(), TEXT)
+        bar.SetVisibility(False)  # until there is a scale
         view.renderer.AddViewProp(bar)
-        self._view, self._bar, self._upper = view, bar, upper
+        self._view, self._bar, self._upper, self._wanted = view, bar, upper, True
         self._table, self._quantity = table, quantity
         self.setting, self.end = setting, math.nan
         view.rendering.connect(self._fit)
@@ -194,6 +195,7 @@ class ColourBar:
         self._bar.SetTitle(f"{self._quantity}\n({unit.symbol}){locked}")
         if tuple(self._table.scalar_range) != (low, high):
             self._table.scalar_range = (low, high)
+        self._bar.SetVisibility(self._wanted)
         return high
 
     def contains(self, x: float, y: float) -> bool:
@@ -218,5 +220,6 @@ class ColourBar:
         self._bar.SetVerticalTitleSeparation(round(6 * self._view.pixel_ratio))
 
     def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
-        self._bar.SetVisibility(visible)
+        """Show, once it has a scale, or hide."""
+        self._wanted = visible
+        self._bar.SetVisibility(visible and not math.isnan(self.end))
