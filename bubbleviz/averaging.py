@@ -1,9 +1,9 @@
 """Means of the depth images of a recording while they show the same.
 
-An object at rest is seen again and again, and the mean of eleven images has a third of the noise.
-It is taken of images before and after a frame, with weights by which a motion too slow to be seen
-shifts nothing: those of a straight line through the images over time, at the time of the frame. So
-it is the same however the frame was reached.
+Eleven images of an object at rest have a third of the noise of one. A straight line over time is
+fitted to each pixel of the images before and after a frame, and evaluated at the time of the frame:
+a motion too slow to be detected then causes no bias. The images come from the recording, not from
+the frames solved before, so that the result does not depend on the order of frames.
 """
 
 from __future__ import annotations
@@ -19,14 +19,15 @@ from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, FrameSource
 
-REACH = 5
+_REACH = 5
 """Most frames averaged on either side: eleven images are a third of a second at 30 Hz."""
 
-_OUTLIER = 6.0  # standard deviations from the frame's own pixel beyond which none is averaged
+_OUTLIER = 6.0
+"""Difference from the frame's own pixel, in standard deviations, beyond which one is left out."""
 
 _ONE_SIGMA = 0.683  # share of Gaussian noise within one standard deviation
 
-_SAMPLED = 3  # of the pixels that tell it, every third of every third row
+_STRIDE = 3  # that standard deviation is estimated from every third pixel of every third row
 
 
 class _Seen(NamedTuple):
@@ -45,8 +46,8 @@ class StillFrames:
     def applied(self, frame: Frame) -> Frame:
         """The frame with the mean image; unchanged if it has no contact, or too few agree."""
         own, index = self._of(frame.index, frame), frame.index
-        before = range(index - 1, max(index - REACH, 0) - 1, -1)
-        after = range(index + 1, min(index + REACH + 1, len(self._source)))
+        before = range(index - 1, max(index - _REACH, 0) - 1, -1)
+        after = range(index + 1, min(index + _REACH + 1, len(self._source)))
         around: list[_Seen] = []
         for side in (before, after):
             for other in self._agreeing(own.image, side):
@@ -75,7 +76,7 @@ class StillFrames:
         """A frame, which is read if it is not given."""
         if index not in self._seen:
             frame = frame or self._source[index]
-            while len(self._seen) > 2 * REACH:
+            while len(self._seen) > 2 * _REACH:
                 self._seen.pop(next(iter(self._seen)))
             image = self._pipeline.estimator.observer.measure(frame.depth_m)
             self._seen[index] = _Seen(frame.time_s, image)
@@ -83,7 +84,7 @@ class StillFrames:
 
 
 def _weights(times_s: np.ndarray) -> np.ndarray:
-    """Weights (k,) of values by which a straight line over their times has its first value."""
+    """Weights (k,) of values, for a straight line fitted over times, at the first of the times."""
     weights = np.full(len(times_s), 1.0 / len(times_s))
     from_mean = times_s - times_s.mean()
     if spread := float(from_mean @ from_mean):
@@ -92,15 +93,16 @@ def _weights(times_s: np.ndarray) -> np.ndarray:
 
 
 def _mean(own: np.ndarray, around: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
-    """Weighted mean (H, W) of an image and others, without outliers from it; NaN where it is.
+    """Weighted mean (H, W) of an image and others; NaN where the image is.
 
-    `weights` of the others; its own is the rest to 1, as is that of what is left out.
+    `weights` are those of the others, and the image has the rest to 1. Where a pixel of another
+    image is missing or an outlier, its weight goes to the image's own pixel.
     """
     mean = own.copy()
     for image, weight in zip(around, weights.astype(np.float32), strict=True):
         change = image - own
         size = np.abs(change)
-        some = size[::_SAMPLED, ::_SAMPLED]
+        some = size[::_STRIDE, ::_STRIDE]
         sigma = np.quantile(some[np.isfinite(some)], _ONE_SIGMA)
         near = size <= _OUTLIER * sigma  # not where either is NaN
         np.add(mean, weight * change, out=mean, where=near)

@@ -19,10 +19,11 @@ _MEDIAN_EFFICIENCY = 0.37  # of a median of squares of Gaussian noise, against t
 class ImageChange:
     """Compares images of one camera over grids of cells, from fine to coarse.
 
-    Motions of the membrane that are too small for single blocks of pixels are found by cells as
-    large as what moves; and a press that goes on by the deformation so far, as a pattern. The scale
-    of the noise is that of most cells of the finest grid, as noise may be correlated between pixels
-    and differ from the sensor file's. Noise that is correlated between cells looks like a change.
+    A motion too small to be detected in single blocks of pixels is detected in cells as large as
+    what moves. A press that becomes deeper is also detected by the projection of the change on the
+    deformation. The noise is estimated from the median over the cells of the finest grid, since it
+    may be correlated between pixels and differ from the sensor file's. Noise that is correlated
+    between cells looks like a change.
     """
 
     def __init__(self, observer: RangeObserver) -> None:

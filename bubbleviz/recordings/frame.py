@@ -76,7 +76,7 @@ class Frame:
 
     @property
     def steady_depth_m(self) -> np.ndarray:
-        """Depth image (H, W) for estimates: the mean, where there is one."""
+        """Depth image (H, W) that estimates use: the mean if there is one, else the frame's own."""
         return self.depth_m if self.mean_depth_m is None else self.mean_depth_m
 
     @property
