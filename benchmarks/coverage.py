@@ -14,6 +14,7 @@ from bubbleviz.calibration import Quantity, collect, rest_gauge, with_rubber
 from bubbleviz.sensor import edited
 from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber, InflatedSensor
 from bubbleviz.study.harness import (
+    Averages,
     Case,
     Column,
     Record,
@@ -23,7 +24,7 @@ from bubbleviz.study.harness import (
     Target,
     at_least,
     at_most,
-    groups,
+    summaries,
 )
 from tests.oracles.round_sheet import round_sheet
 
@@ -86,15 +87,28 @@ class CoverageRow:
         return bool(np.isfinite(self.value))
 
     @property
-    def covered(self) -> bool:
-        """Whether the interval includes the true value."""
-        return self.low <= self.truth <= self.high
+    def covered(self) -> float:
+        """1 if the interval includes the true value, 0 if not; NaN if not determined."""
+        return float(self.low <= self.truth <= self.high) if self.determined else np.nan
 
     @property
     def error(self) -> float:
         """Error of γ0 and gauge pressure relative to the true value; of λ absolute."""
-        off = self.value - self.truth
-        return off if self.quantity == "prestretch" else off / self.truth
+        return (self.value - self.truth) / self._unit
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval, as of `error`."""
+        return 0.5 * (self.high - self.low) / self._unit
+
+    @property
+    def ratio(self) -> float:
+        """Size of the error over half of the interval."""
+        return abs(self.error) / self.half_width
+
+    @property
+    def _unit(self) -> float:
+        return 1.0 if self.quantity == "prestretch" else self.truth
 
 
 def coverage_study(grid: CoverageGrid, parts: Path | None = None) -> Study:
@@ -161,30 +175,24 @@ WORST_RATIO = 1.5
 _SYMBOLS = dict(zip(QUANTITIES, ("γ0", "λ", "G"), strict=True))
 
 
-def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
-    """Coverage of every number of every rubber, over the seeds where it is determined.
+def _largest(errors: np.ndarray) -> float:
+    return float(np.abs(errors).max())
 
-    Errors and the median half-width are relative to the true value, for λ absolute.
-    """
-    found = []
-    for (rubber, known, quantity), own in groups(rows, "rubber", "known", "quantity").items():
-        told = [row for row in own if row.determined]
-        errors = np.array([row.error for row in told] or [np.nan])
-        scale = [1.0 if quantity == "prestretch" else row.truth for row in told]
-        widths = [0.5 * (r.high - r.low) / unit for r, unit in zip(told, scale, strict=True)]
-        found.append(
-            {
-                **{"rubber": rubber, "known": known, "quantity": quantity},
-                **{"seeds": len(own), "determined": len(told)},
-                "covered": float(np.mean([row.covered for row in told] or [np.nan])),
-                "rms_error": float(np.sqrt(np.mean(errors**2))),
-                "worst_error": float(np.abs(errors).max()),
-                "bias": float(errors.mean()),
-                "half_width": float(np.median(widths or [np.nan])),
-                "worst_ratio": float(np.max(np.abs(errors) / (widths or [np.nan]))),
-            }
-        )
-    return found
+
+_OF: Averages = {
+    "determined": ("determined", np.sum),
+    "covered": ("covered", np.mean),
+    "rms_error": ("error", lambda errors: np.sqrt(np.mean(errors**2))),
+    "worst_error": ("error", _largest),
+    "bias": ("error", np.mean),
+    "half_width": ("half_width", np.median),
+    "worst_ratio": ("ratio", np.max),
+}
+
+
+def coverages(rows: Sequence[CoverageRow]) -> list[Record]:
+    """Coverage of every number of every rubber, over the seeds where it is determined."""
+    return summaries(rows, ("rubber", "known", "quantity"), _OF)
 
 
 def targets(rows: Sequence[CoverageRow]) -> list[Target]:
@@ -199,8 +207,12 @@ def targets(rows: Sequence[CoverageRow]) -> list[Target]:
 
 def report_of(rows: Sequence[CoverageRow]) -> Report:
     """Coverage and errors; those of λ in units of 0.01."""
-    words = (Column(n, n) for n in ("rubber", "known", "quantity", "determined", "seeds"))
-    shares = (Column("covered %", "covered", ".0f", 100),)
+    words = (Column(n, n) for n in ("rubber", "known", "quantity"))
+    shares = (
+        Column("seeds", "count"),
+        Column("determined", "determined", ".0f"),
+        Column("covered %", "covered", ".0f", 100),
+    )
     names = ("rms_error", "worst_error", "bias", "half_width")
     errors = (Column(f"{n.replace('_', ' ')} %", n, ".2f", 100) for n in names)
     ratio = Column("worst error / half width", "worst_ratio", ".2f")

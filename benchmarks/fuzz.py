@@ -1,8 +1,7 @@
 """Thousands of damaged and hostile inputs: each must be read, or refused in one line.
 
 Inputs are small valid files written by bubbleviz, with random mutations: the same seed and number
-give the same input. Batches run in processes forked after all imports, with limits of memory and
-time.
+give the same input. They run in a process with limits of memory and time.
 """
 
 from __future__ import annotations
@@ -11,9 +10,6 @@ import contextlib
 import json
 import os
 import re
-import resource
-import select
-import signal
 import struct
 import sys
 import time
@@ -37,6 +33,7 @@ from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES as MESHES, write_ply
 from bubbleviz.live import FrameAssembler, load_session
+from bubbleviz.processes import WorkerProcess
 from bubbleviz.recordings import Bag, McapFile, Message, ros2_types, typestore
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Calibration, Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
@@ -44,7 +41,6 @@ from bubbleviz.simulation import read_truth
 
 MEMORY_BYTES = 2 << 30
 TIMEOUT_S = 10.0
-BATCH = 400  # inputs of a process
 POSE = "0.005 0 0.042 0 0 0 1"
 
 Rng = np.random.Generator
@@ -435,7 +431,8 @@ def session_file(corpus: Corpus, folder: Path, rng: Rng) -> Work:
     return partial(load_session, path)
 
 
-KINDS: dict[str, Callable[[Corpus, Path, Rng], Work]] = {
+Make = Callable[[Corpus, Path, Rng], Work]
+KINDS: dict[str, Make] = {
     make.__name__: make
     for make in (
         *(recording_bytes, recording_messages, live_messages, image_folder, mesh),
@@ -447,23 +444,24 @@ KINDS: dict[str, Callable[[Corpus, Path, Rng], Work]] = {
 # -- running and checking -------------------------------------------------------------------------
 
 
-def run_input(corpus: Corpus, seed: int, number: int, scratch: Path) -> Outcome:
+def run_input(corpus: Corpus, make: Make, seed: int, number: int, scratch: Path) -> Outcome:
     """Make an input in a new folder, run it and check the outcome."""
-    rng = np.random.default_rng([seed, number])
-    kind = list(KINDS)[number % len(KINDS)]
     folder = scratch / str(number)
     folder.mkdir()
-    work = KINDS[kind](corpus, folder, rng)
+    work = make(corpus, folder, np.random.default_rng([seed, number]))
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
     begun = time.process_time()
-    with _streams_in_files(scratch) as said:
+    with _streams_in_files(scratch) as said, warnings.catch_warnings():
+        warnings.simplefilter("always")  # else each place warns once
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
+        warnings.filterwarnings("ignore", category=ResourceWarning)
         code, fault = _run(work)
     seconds = time.process_time() - begun
     fault = fault or _fault_of(code, *(path.read_text(errors="replace") for path in said))
     left = [path.name for path in folder.rglob(".*")]
     fault = fault or (f"left {left[0]}" if left else "")
-    return Outcome(number, kind, fault, seconds, _peak_bytes())
+    return Outcome(number, make.__name__, fault, seconds, _peak_bytes())
 
 
 def _run(work: Work) -> tuple[int, str]:
@@ -524,59 +522,26 @@ def _peak_bytes() -> int:
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
 
 
+def _import_commands() -> None:
+    for verb in ("info", "convert", "estimate", "check", "export"):
+        getattr(bv, verb)
+
+
 def fuzz(numbers: range, seed: int, folder: Path) -> Iterator[Outcome]:
-    """Outcomes of inputs by number; a process that dies or hangs counts as one fault."""
+    """Outcomes of inputs by number; a process that dies or hangs is one fault."""
     (folder / "corpus").mkdir()
     corpus = make_corpus(folder / "corpus")
-    for verb in ("info", "convert", "estimate", "check", "export"):  # imported once, before forks
-        getattr(bv, verb)
-    todo = numbers
-    while todo:
-        batch = todo[:BATCH]
-        done = 0
-        for outcome in _in_process(corpus, batch, seed, folder):
-            yield outcome
-            done += 1
-        todo = todo[done:]
-
-
-def _in_process(corpus: Corpus, numbers: range, seed: int, folder: Path) -> Iterator[Outcome]:
-    """Outcomes of a forked process; the last one describes how it ended."""
-    read, write = os.pipe()
-    child = os.fork()
-    if not child:
-        os.close(read)
-        try:
-            _work(corpus, numbers, seed, folder, write)
-        except BaseException:
-            traceback.print_exc()  # of the harness
-        os._exit(0)
-    os.close(write)
-    with os.fdopen(read, "rb", buffering=0) as pipe:
+    with WorkerProcess(MEMORY_BYTES) as worker:
         for number in numbers:
-            ready, _, _ = select.select([pipe], [], [], TIMEOUT_S)
-            line = pipe.readline() if ready else b""
-            if not line:
-                with contextlib.suppress(ProcessLookupError):
-                    os.kill(child, signal.SIGKILL)
-                why = "the process died" if ready else f"no end after {TIMEOUT_S:g} s"
-                yield Outcome(number, list(KINDS)[number % len(KINDS)], why, TIMEOUT_S, 0)
-                break
-            yield Outcome(*json.loads(line))
-    os.waitpid(child, 0)
-
-
-def _work(corpus: Corpus, numbers: range, seed: int, folder: Path, pipe: int) -> None:
-    _, most = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, most))
-    warnings.simplefilter("always")  # else each place warns once
-    warnings.filterwarnings("ignore", category=DeprecationWarning)
-    warnings.filterwarnings("ignore", category=ResourceWarning)
-    scratch = folder / str(os.getpid())
-    scratch.mkdir()
-    for number in numbers:
-        outcome = run_input(corpus, seed, number, scratch)
-        os.write(pipe, (json.dumps(outcome) + "\n").encode())
+            if worker.pid is None:  # imports are not part of an input's time
+                worker.send(_import_commands)
+                worker.outcome()
+            make = list(KINDS.values())[number % len(KINDS)]
+            found = worker.call(run_input, corpus, make, seed, number, folder, limit_s=TIMEOUT_S)
+            if found.kind == "returned":
+                yield found.value
+            else:
+                yield Outcome(number, make.__name__, found.detail, 1e-3 * found.ms, 0)
 
 
 def to_text(outcomes: Sequence[Outcome]) -> str:

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import PoseTracker, motion_between, moved, precision_of
+from bubbleviz.pose import PoseTracker, motion_between, precision_of
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose
 from bubbleviz.sensor import Sensor
@@ -33,18 +33,19 @@ from bubbleviz.simulation import (
     study_object,
 )
 from bubbleviz.study.harness import (
+    Averages,
     Case,
     Column,
-    Record,
     Report,
     Study,
     Table,
     Target,
     at_least,
     at_most,
-    groups,
+    averages,
+    summaries,
 )
-from bubbleviz.study.pose import START_M, START_RAD, PoseMetrics, TrueContact
+from bubbleviz.study.pose import PoseErrors, PoseMetrics, TrueContact, wrong_pose
 
 _RATE_HZ, _SWING_HZ = 30.0, 0.7
 _SWING_M, _SWING_RAD = 2e-3, np.radians(12.0)
@@ -71,20 +72,26 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class PoseRow:
-    """The last frame of one track. Errors are modulo symmetry, and infinite without a pose."""
+class PoseRow(PoseErrors):
+    """The last frame of one track. Errors are modulo symmetry."""
 
     object_name: str
     material: str
     noise: str
-    moving: bool
+    motion: str  # "at rest" or "moving"
     status: str
-    error_m: float = np.inf  # over the directions that the contact's normals determine
-    whole_m: float = np.inf  # over all six
-    whole_rad: float = np.inf
     distance2: float = np.inf  # squared Mahalanobis distance of the true pose
     median_ms: float = np.nan  # processor time of the pose, over all but the first frame
     slow_ms: float = np.nan  # 95 % of the frames take less
+
+    @property
+    def lost(self) -> bool:
+        return self.status != "ok"
+
+    @property
+    def covered(self) -> bool:
+        """Whether the 95 % ellipsoid contains the true pose."""
+        return self.distance2 <= _LIMIT
 
 
 def coverage_study(sensor: Sensor, grid: Grid, parts: Path | None = None) -> Study:
@@ -136,7 +143,8 @@ class _Bench:
         for moving, (absolute_m, relative) in product((False, True), grid.noises):
             noise = DepthNoise(relative, absolute_m)
             text = f"{100 * relative:g} %" if relative else f"{1e3 * absolute_m:g} mm"
-            base = PoseRow(name, self._material, text, moving, "none")
+            motion = "moving" if moving else "at rest"
+            base = PoseRow(name, self._material, text, motion, "none")
             truths = [solved(k if moving else 0) for k in range(grid.frames)]
             true = metrics.touching(
                 truths[-1].mesh,
@@ -158,9 +166,7 @@ class _Bench:
         random: np.random.Generator,
     ) -> tuple[Pose, np.ndarray]:
         """Pose in the last frame from a wrong initial one, and processor times (F − 1,), ms."""
-        errors = random.standard_normal((2, 3))
-        errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
-        start = moved(truths[0].T_B_O, errors.ravel(), truths[0].T_B_O[:3, 3])
+        start = wrong_pose(truths[0].T_B_O, truths[0].T_B_O[:3, 3], random)
         pipeline, times = self._pipeline, []
         pipeline.restart()
         tracker = PoseTracker(pipeline.estimator, model.obj, start, membrane=pipeline.model.rubber)
@@ -191,39 +197,23 @@ def _row(
     equivalent = [true.T_B_O @ S for S in metrics.symmetries]
     off = np.array([motion_between(pose.T_B_O, T, pose.center_m) for T in equivalent])
     distance2 = np.einsum("si,si->s", off, np.linalg.solve(pose.covariance, off.T).T).min()
-    found = metrics.errors(pose.T_B_O, true)
-    return replace(
-        row,
-        error_m=found.error_m,
-        whole_m=found.whole_m,
-        whole_rad=found.whole_rad,
-        distance2=float(distance2),
-    )
+    return replace(row, **vars(metrics.errors(pose.T_B_O, true)), distance2=float(distance2))
 
 
-def points(rows: Sequence[PoseRow]) -> list[Record]:
-    """Medians, coverage and times of every class."""
-    found = []
-    for key, own in groups(rows, "object_name", "material", "noise", "moving").items():
-        record: Record = dict(zip(("object_name", "material", "noise", "moving"), key, strict=True))
-        record["motion"] = "moving" if key[3] else "at rest"
-        record["count"] = len(own)
-        record["lost"] = sum(row.status != "ok" for row in own)
-        for name in ("error_m", "whole_m", "whole_rad", "median_ms"):
-            record[name] = float(np.median([getattr(row, name) for row in own]))
-        record["slow_ms"] = float(np.quantile([row.slow_ms for row in own], 0.95))
-        record["covered"] = float(np.mean([row.distance2 <= _LIMIT for row in own]))
-        found.append(record)
-    return found
-
-
+_CLASS = ("object_name", "material", "noise", "motion")
+_OF: Averages = averages("error_m", "whole_m", "whole_rad", "median_ms") | {
+    "lost": ("lost", np.sum),
+    "covered": ("covered", np.mean),
+    "slow_ms": ("slow_ms", lambda times: np.quantile(times, 0.95)),
+}
 _COLUMNS = (
-    *(Column(name, name) for name in ("material", "noise", "motion")),
+    Column("object", "object_name"),
+    *(Column(name, name) for name in _CLASS[1:]),
     Column("mm", "error_m", ".2f", 1e3),
     Column("all mm", "whole_m", ".2f", 1e3),
     Column("all °", "whole_rad", ".1f", float(np.degrees(1.0))),
     Column("covered %", "covered", ".0f", 100),
-    Column("lost", "lost"),
+    Column("lost", "lost", ".0f"),
     Column("tracks", "count"),
     Column("ms", "median_ms", ".0f"),
     Column("95 % ms", "slow_ms", ".0f"),
@@ -232,13 +222,12 @@ _COLUMNS = (
 
 def report_of(rows: list[PoseRow]) -> Report:
     """Coverage, errors along the determined directions and along all, and times."""
-    found = points(rows)
+    found = summaries(rows, _CLASS, _OF)
     targets: list[Target] = []
     for one in found:
-        name = ", ".join(str(one[key]) for key in ("object_name", "material", "noise", "motion"))
+        name = ", ".join(one[key] for key in _CLASS)
         targets += [
             at_least(f"{name}: covered", one["covered"], LEAST),
             at_most(f"{name}: covered", one["covered"], MOST),
         ]
-    columns = (Column("object", "object_name"), *_COLUMNS)
-    return Report([Table("points", found, columns)], targets)
+    return Report([Table("points", found, _COLUMNS)], targets)

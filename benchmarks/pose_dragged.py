@@ -6,7 +6,6 @@ twisted. The sensor is identified from its own inflation levels and open chamber
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property, partial
 from itertools import product
@@ -22,22 +21,23 @@ import bubbleviz as bv
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh, ObjectSurface
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import PoseTracker, motion_between, moved, precision_of
+from bubbleviz.pose import PoseTracker, motion_between, precision_of
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
 from bubbleviz.study.harness import (
+    Averages,
     Case,
     Column,
-    Record,
     Report,
     Study,
     Table,
     Target,
     at_least,
     at_most,
-    groups,
+    averages,
+    summaries,
 )
-from bubbleviz.study.pose import START_M, START_RAD, PoseMetrics
+from bubbleviz.study.pose import PoseErrors, PoseMetrics, wrong_pose
 from tests import rubber_renders as renders
 
 WORST_M, WORST_RAD = 3e-4, np.radians(1.5)
@@ -59,18 +59,25 @@ class Grid:
 
 
 @dataclass(frozen=True)
-class DraggedRow:
-    """One frame. Errors are over the directions that the contact's normals determine."""
+class DraggedRow(PoseErrors):
+    """One frame."""
 
     name: str
     noise_m: float
     seed: int
     frame: int
     status: str
-    error_m: float = np.inf
-    error_rad: float = np.inf
     # squared Mahalanobis distance of the true pose over its 95 % quantile
     distance2: float = np.inf
+
+    @property
+    def lost(self) -> bool:
+        return self.status != "ok"
+
+    @property
+    def covered(self) -> bool:
+        """Whether the 95 % ellipsoid contains the true pose."""
+        return self.distance2 <= 1.0
 
 
 def dragged_study(grid: Grid) -> Study:
@@ -149,8 +156,7 @@ class _Bench:
         obj, tracker, found = make(), None, []
         metrics = PoseMetrics(ObjectSurface(obj), precision_of(pipeline.estimator))
         metrics.symmetries = np.eye(4)[None]  # `_unturned` allows for them
-        errors = np.random.default_rng(seed).standard_normal((2, 3))
-        errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
+        random = np.random.default_rng(seed)
         pipeline.restart()
         for k in range(len(shapes)):
             number = every * k
@@ -159,7 +165,7 @@ class _Bench:
             if tracker is None:
                 if result.patch.area_m2 < _LEAST_AREA_M2:
                     continue
-                start = moved(poses[number], errors.ravel(), poses[number, :3, 3])
+                start = wrong_pose(poses[number], poses[number, :3, 3], random)
                 rubber = pipeline.model.rubber
                 tracker = PoseTracker(pipeline.estimator, obj, start, membrane=rubber)
             pose = tracker.update(result.frame, result.estimate, result.patch)
@@ -170,14 +176,10 @@ class _Bench:
                 touching = truth["touching"][number].astype(float)
                 true = metrics.touching(mesh, np.zeros_like(nodes), touching, poses[number])
                 off = metrics.errors(T, true)
+                if len(axes) == 3:  # a ball, whose centre is determined, all of it
+                    off = replace(off, error_m=off.whole_m, error_rad=off.whole_rad)
                 distance2 = _distance2(T, poses[number], pose.covariance, pose.center_m, axes)
-                ball = len(axes) == 3  # whose centre is determined, all of it
-                row = replace(
-                    row,
-                    error_m=off.whole_m if ball else off.error_m,
-                    error_rad=off.whole_rad if ball else off.error_rad,
-                    distance2=distance2,
-                )
+                row = replace(row, **vars(off), distance2=distance2)
             found.append(row)
         return found
 
@@ -207,20 +209,12 @@ def _distance2(
     return float(off @ information @ off / chi2(6 - len(axes)).ppf(0.95))
 
 
-def points(rows: Sequence[DraggedRow]) -> list[Record]:
-    """Errors and coverage of every recording and noise."""
-    found = []
-    for (name, noise_m), own in groups(rows, "name", "noise_m").items():
-        record: Record = {"name": name, "noise_m": noise_m, "count": len(own)}
-        record["lost"] = sum(row.status != "ok" for row in own)
-        for error in ("error_m", "error_rad"):
-            values = [getattr(row, error) for row in own]
-            record[error], record[f"{error}_worst"] = float(np.median(values)), max(values)
-        record["covered"] = float(np.mean([row.distance2 <= 1.0 for row in own]))
-        found.append(record)
-    return found
-
-
+_OF: Averages = averages("error_m", "error_rad") | {
+    "error_m_worst": ("error_m", np.max),
+    "error_rad_worst": ("error_rad", np.max),
+    "lost": ("lost", np.sum),
+    "covered": ("covered", np.mean),
+}
 _DEGREES = float(np.degrees(1.0))
 _COLUMNS = (
     Column("recording", "name"),
@@ -230,14 +224,14 @@ _COLUMNS = (
     Column("°", "error_rad", ".1f", _DEGREES),
     Column("worst", "error_rad_worst", ".1f", _DEGREES),
     Column("covered %", "covered", ".0f", 100),
-    Column("lost", "lost"),
+    Column("lost", "lost", ".0f"),
     Column("frames", "count"),
 )
 
 
 def report_of(rows: list[DraggedRow]) -> Report:
     """Errors along the determined directions, coverage, frames lost."""
-    found, targets = points(rows), list[Target]()
+    found, targets = summaries(rows, ("name", "noise_m"), _OF), list[Target]()
     for one in found:
         name = f"{one['name']}, {1e3 * one['noise_m']:g} mm"
         targets += [

@@ -47,7 +47,7 @@ from bubbleviz.study.harness import (
     averages,
     summaries,
 )
-from bubbleviz.study.pose import PoseMetrics, TrueContact
+from bubbleviz.study.pose import PoseErrors, PoseMetrics, TrueContact
 
 MIN_DEPTH_M, MAX_DEPTH_M = 0.008, 0.015  # of the presses, as the paper's
 MAX_OFFSET_M, MAX_OFFSET_RAD = 5e-3, np.radians(10.0)  # of the initial poses
@@ -87,12 +87,8 @@ class PoseGrid:
 
 
 @dataclass(frozen=True)
-class PoseTrial:
-    """One method on one noisy image from one initial pose.
-
-    `error_m` and `error_rad` are in the directions the true contact determines, modulo symmetry;
-    `whole_m` and `whole_rad` in all six. `total_ms` is from depth image to pose.
-    """
+class PoseTrial(PoseErrors):
+    """One method on one noisy image from one initial pose; `total_ms` is from image to pose."""
 
     object_name: str
     depth_m: float
@@ -102,11 +98,6 @@ class PoseTrial:
     start_m: float = np.nan
     start_rad: float = np.nan
     status: str = "few_points"
-    error_m: float = np.inf
-    error_rad: float = np.inf
-    whole_m: float = np.inf
-    whole_rad: float = np.inf
-    success: bool = False
     total_ms: float = np.inf
 
 
@@ -203,15 +194,10 @@ class _Bench:
         own_ms = 1e3 * (time.perf_counter() - began)
         if pose is None:
             return base
-        errors = self._metrics.errors(pose, true)
         before = ("cloud",) if base.method == WHOLE_CLOUD else ("estimate", "patch")
-        return replace(
-            base,
-            status="ok",
-            success=errors.success,
-            total_ms=own_ms + sum(result.times_ms[stage] for stage in before),
-            **vars(errors),
-        )
+        total_ms = own_ms + sum(result.times_ms[stage] for stage in before)
+        errors = vars(self._metrics.errors(pose, true))
+        return replace(base, status="ok", total_ms=total_ms, **errors)
 
     def _stage_one(self, contact: ContactPoints, start: np.ndarray) -> np.ndarray:
         prior = Motion.at_rest(start, START_DEVIATION, contact.center)

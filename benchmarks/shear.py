@@ -94,11 +94,6 @@ class ShearTrial:
     estimate); times are of the processor.
     """
 
-    object_name: str
-    friction: float
-    drag_m: float
-    twist_rad: float
-    flow_sigma_px: float
     depth_status: str
     status: str
     depth_force_error: float
@@ -111,8 +106,13 @@ class ShearTrial:
     sigmas: float
     slip: float
     true_slip: float
-    estimate_ms: float
-    traction_ms: float
+    object_name: str = ""
+    friction: float = np.nan
+    drag_m: float = np.nan
+    twist_rad: float = np.nan
+    flow_sigma_px: float = np.nan
+    estimate_ms: float = np.nan
+    traction_ms: float = np.nan
 
 
 def shear_study(grid: ShearGrid) -> Study:
@@ -220,11 +220,6 @@ def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMe
     if slip is not None and isinstance(truth, DraggedTruth):
         true_slip = truth.slip_share(_SLIPPED_M)
     return ShearTrial(
-        object_name="",
-        friction=np.nan,
-        drag_m=np.nan,
-        twist_rad=np.nan,
-        flow_sigma_px=np.nan,
         depth_status=estimate.status,
         status=traction.status,
         depth_force_error=float(np.linalg.norm(alone - true)) / size,
@@ -237,8 +232,6 @@ def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMe
         sigmas=float(np.linalg.norm(difference) / np.linalg.norm(traction.force_sigma_n)),
         slip=np.nan if slip is None else slip.share,
         true_slip=np.nan if slip is None else true_slip,
-        estimate_ms=np.nan,
-        traction_ms=np.nan,
     )
 
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from mcap.reader import make_reader
-from mcap.records import Message
 
 from bubbleviz.recordings import IMAGE
 from bubbleviz.sensor import Sensor, sensor_to_toml
@@ -53,17 +51,15 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def depth_images(path: Path, prefix: str = "") -> Iterator[Message]:
-    """The depth images of some topics in a recording, in file order."""
-    with path.open("rb") as file:
-        for schema, channel, message in make_reader(file).iter_messages(log_time_order=False):
-            if schema is not None and schema.name == IMAGE and channel.topic.startswith(prefix):
-                yield message
-
-
 def sequences(path: Path, prefix: str = "") -> np.ndarray:
     """Sequence numbers of the depth images of some topics in a recording, in file order."""
-    return np.array([message.sequence for message in depth_images(path, prefix)], dtype=np.int64)
+    with path.open("rb") as file:
+        numbers = [
+            message.sequence
+            for schema, channel, message in make_reader(file).iter_messages(log_time_order=False)
+            if schema is not None and schema.name == IMAGE and channel.topic.startswith(prefix)
+        ]
+    return np.array(numbers, np.int64)
 
 
 def gaps_in(count: np.ndarray) -> tuple[int, int]:

@@ -198,11 +198,10 @@ def specimen(name: str, sensor: Sensor, grid: Grid) -> Specimen:
     """Specimen of a grid by name; `sensor` has a default λ if its file gives none."""
     kind, _, stretch = name.partition(" λ ")
     own = dome(float(stretch)) if kind == "dome" else sensor
-    if grid.model == "linear":
-        known = SensorModel.of(own)
-        return Specimen(name, LinearPresses.of(known, grid.truth_nodes), partial(with_noise, known))
-    known = SensorModel.of(rubber_sensor(own))
-    return Specimen(name, RubberPresses.of(known, grid.truth_nodes), partial(with_noise, known))
+    linear = grid.model == "linear"
+    known = SensorModel.of(own if linear else rubber_sensor(own))
+    made = (LinearPresses if linear else RubberPresses).of(known, grid.truth_nodes)
+    return Specimen(name, made, partial(with_noise, known))
 
 
 def accuracy_study(

@@ -63,14 +63,14 @@ SUCCESS_M, SUCCESS_RAD = 3e-3, np.radians(5.0)  # tolerance of a grasp; chosen
 _MIN_FACING = np.cos(np.radians(45.0))  # between normals of object and membrane in contact
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PoseErrors:
-    """Difference between a pose and the true one, as motion of the patch."""
+    """Difference between a pose and the true one, as motion of the patch; infinite without one."""
 
-    error_m: float  # over the determined directions
-    error_rad: float
-    whole_m: float  # over all six
-    whole_rad: float
+    error_m: float = np.inf  # over the determined directions
+    error_rad: float = np.inf
+    whole_m: float = np.inf  # over all six
+    whole_rad: float = np.inf
 
     @property
     def success(self) -> bool:
@@ -129,6 +129,15 @@ class PoseMetrics:
 
 
 START_M, START_RAD = 3e-3, np.radians(8.0)  # errors of initial poses
+
+
+def wrong_pose(T_B_O: np.ndarray, center: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Initial pose (4, 4) that is off by 3 mm and 8° in random directions."""
+    errors = random.standard_normal((2, 3))
+    errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
+    return moved(T_B_O, errors.ravel(), center)
+
+
 MIN_DEPTH_M, MAX_DEPTH_M = 0.007, 0.012  # of the presses
 FRAMES = 4  # of each press, with different noise
 LIMIT_S = 300.0  # to simulate a press
@@ -210,10 +219,8 @@ class _Bench:
         true = self._metrics.touching(*touched, T_B_O)
         observed, rows = self._observed(simulated, true), []
         for number in range(grid.starts):
-            errors = random.standard_normal((2, 3))
-            errors *= np.array([[START_M], [START_RAD]]) / np.linalg.norm(errors, axis=1)[:, None]
-            initial_pose = moved(true.T_B_O, errors.ravel(), true.center)
-            self._pipeline.track(self._model.obj, initial_pose)
+            start = wrong_pose(true.T_B_O, true.center, random)
+            self._pipeline.track(self._model.obj, start)
             rows.append(self._row(simulated, true, observed, number))
         return rows
 

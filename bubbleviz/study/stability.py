@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import tomli_w
 from trimesh.convex import convex_hull
 
 from bubbleviz.errors import InputError, SolveError
@@ -23,7 +21,7 @@ from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import TRUSTED, Result
 from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import Sensor, edited, load_sensor
 from bubbleviz.simulation import (
     DepthNoise,
     Model,
@@ -77,7 +75,7 @@ class Trial:
     With the solver `rubber` the ground truth is the exact membrane even without a pre-stretch.
     """
 
-    sensor: dict[str, dict[str, Any]] = field(default_factory=dict)  # changes of the sensor file
+    sensor: dict[str, Any] = field(default_factory=dict)  # changed values, as of `edited`
     object_name: str | Callable[[], RigidObject] = "two_legged_toy"
     depth_m: float = 0.012  # beyond first touch; negative for an object that hovers
     depths_m: tuple[float, ...] = ()  # of every frame, instead of `depth_m`
@@ -94,7 +92,7 @@ class Trial:
 
     def __call__(self) -> str:
         """Run; returns and raises as `Case`."""
-        sensor = varied_sensor(self.sensor)
+        sensor = edited(load_sensor("pico_flexx_75mm"), self.sensor)
         source = self._source(sensor)
         raise_faults(forward_faults(source.contact(0), sensor.pneumatics.gauge_pressure_pa))
         pipeline, refusals = self.make.of(sensor, options=self.options), list[str]()
@@ -157,21 +155,6 @@ def _description(result: Result, truth: Truth | None) -> str:
     if truth is not None:
         text += f" of {np.linalg.norm(truth.force_n):.4g} N"
     return f"{text}, KKT {result.estimate.kkt_residual:.1e}"
-
-
-def varied_sensor(changes: dict[str, dict[str, Any]], name: str = "pico_flexx_75mm") -> Sensor:
-    """Preset with some keys changed (None removes one), read back from a TOML file.
-
-    Raises InputError: the file violates the schema.
-    """
-    data = copy.deepcopy(load_sensor(name).model_dump(mode="json", exclude_none=True))
-    for section, values in changes.items():
-        data.setdefault(section, {}).update(values)
-        data[section] = {k: v for k, v in data[section].items() if v is not None}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "varied.toml"
-        path.write_text(tomli_w.dumps(data), encoding="utf-8")
-        return load_sensor(path)
 
 
 Verdict = Literal["passed", "refused", "failed"]
@@ -245,6 +228,7 @@ def report_of(results: Sequence[CaseResult]) -> Report:
 
 
 PSI = 6_894.757  # Pa (NIST SP 811)
+CHAMBER = "pneumatics.chamber_volume_m3"
 
 
 def all_cases() -> list[Case]:
@@ -258,40 +242,40 @@ def all_cases() -> list[Case]:
 
 def _tension() -> Iterator[Case]:
     for power in range(-3, 7):
-        trial = Trial({"pneumatics": {"tension_n_per_m": 10.0**power}})
+        trial = Trial({"pneumatics.tension_n_per_m": 10.0**power})
         must: Must = "solve" if power in (1, 2, 3) else "either"
         yield Case(f"tension 1e{power} N/m", trial, must, quick=power in (-3, 6))
 
 
 def _gauge() -> Iterator[Case]:
     for psi in (0.001, 0.01, 0.1, 1.0, 10.0):
-        pressure = {"gauge_pressure_pa": psi * PSI}
+        pressure = {"pneumatics.gauge_pressure_pa": psi * PSI}
         must: Must = "solve" if 0.1 <= psi <= 1.0 else "either"
-        yield Case(f"gauge {psi:g} psi", Trial({"pneumatics": pressure}), must, quick=psi > 5.0)
-        fixed_tension = {**pressure, "tension_n_per_m": 105.0}
-        yield Case(f"gauge {psi:g} psi, tension 105 N/m", Trial({"pneumatics": fixed_tension}))
+        yield Case(f"gauge {psi:g} psi", Trial(pressure), must, quick=psi > 5.0)
+        fixed_tension = {**pressure, "pneumatics.tension_n_per_m": 105.0}
+        yield Case(f"gauge {psi:g} psi, tension 105 N/m", Trial(fixed_tension))
 
 
 def _dome() -> Iterator[Case]:
     for share in (0.02, 0.05, 0.2, 0.5, 0.9, 1.0, 1.2, 1.5):
         height = share * 0.075
-        trial = Trial({"membrane": {"height_m": height}}, depth_m=min(0.012, 0.5 * height))
+        trial = Trial({"membrane.height_m": height}, depth_m=min(0.012, 0.5 * height))
         yield Case(f"dome {100 * share:g} % of the rim radius", trial, quick=share in (0.02, 1.5))
 
 
 def _chamber() -> Iterator[Case]:
     for power in range(-7, 2):
-        trial = Trial({"pneumatics": {"chamber_volume_m3": 10.0**power}})
+        trial = Trial({CHAMBER: 10.0**power})
         must: Must = "solve" if power in (-3, -2) else "either"
         yield Case(f"chamber 1e{power} m³", trial, must, quick=power in (-7, 1))
     for power in (-7, 1):
-        paper = {"chamber_volume_m3": 10.0**power, "volume_model": "paper"}
-        yield Case(f"chamber 1e{power} m³, volume model paper", Trial({"pneumatics": paper}))
+        paper = {CHAMBER: 10.0**power, "pneumatics.volume_model": "paper"}
+        yield Case(f"chamber 1e{power} m³, volume model paper", Trial(paper))
 
 
 def _meshes() -> Iterator[Case]:
     for nodes in (30, 100, 5_000, 10_000, 50_000):
-        trial = Trial({"membrane": {"nodes": nodes}})
+        trial = Trial({"membrane.nodes": nodes})
         limit = 120.0 if nodes < 5_000 else 300.0
         yield Case(f"{nodes} nodes", trial, limit_s=limit, quick=nodes == 30)
 
@@ -308,12 +292,12 @@ def _mesh_trial(degrees: float | None) -> Callable[[], str]:
     def run() -> str:
         mesh, gas = mesh_cap(spherical_cap(0.075, 0.050), 800), {}
         if degrees is not None:
-            mesh, gas = with_slivers(mesh, np.deg2rad(degrees)), {"tension_n_per_m": 105.0}
+            mesh = with_slivers(mesh, np.deg2rad(degrees))
+            gas = {"pneumatics.tension_n_per_m": 105.0}
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "slivers.ply"
             write_ply(path, mesh.nodes, {}, mesh.triangles)
-            membrane = {"shape": "mesh", "mesh_file": str(path)}
-            return Trial({"membrane": membrane, "pneumatics": gas})()
+            return Trial({"membrane.shape": "mesh", "membrane.mesh_file": str(path), **gas})()
 
     return run
 
@@ -358,8 +342,8 @@ def _noise() -> Iterator[Case]:
         trial = Trial(noise=noise)
         must: Must = "solve" if mm <= 1.0 else "either"
         yield Case(f"noise {mm:g} mm, sensor file says 1 %", trial, must, quick=mm in (0.0, 10.0))
-        declared = {"noise_relative": max(1e-3 * mm / TYPICAL_RANGE_M, 1e-6)}
-        trial = Trial({"camera": declared}, noise=noise)
+        declared = {"camera.noise_relative": max(1e-3 * mm / TYPICAL_RANGE_M, 1e-6)}
+        trial = Trial(declared, noise=noise)
         yield Case(f"noise {mm:g} mm, declared", trial, must)
     correlated = DepthNoise(relative=0.01, correlation_px=8.0)
     yield Case("noise 1 %, correlated over 8 pixels", Trial(noise=correlated))
@@ -438,59 +422,52 @@ def _formats() -> Iterator[Case]:
 
 
 def _bad_input() -> Iterator[Case]:
+    nan, inf = float("nan"), float("inf")
+    pose, turn = "camera.position_m", "camera.quaternion_xyzw"
+    pixel = {"width": 1, "height": 1, "cx": 0.0, "cy": 0.0, "fx": 1.0, "fy": 1.0}
     wrong: dict[str, dict[str, Any]] = {
-        "NaN in the sensor pose": {"camera": {"position_m": [0.0, float("nan"), -0.104]}},
-        "NaN in the sensor's quaternion": {
-            "camera": {"quaternion_xyzw": [0.0, float("nan"), 0.0, 1.0]}
-        },
-        "sensor pose in mm": {"camera": {"position_m": [0.0, 0.0, -104.0]}},
-        "quaternion of length 2": {"camera": {"quaternion_xyzw": [0.0, 0.0, 0.0, 2.0]}},
-        "camera turned away": {"camera": {"quaternion_xyzw": [1.0, 0.0, 0.0, 0.0]}},
-        "camera of one pixel": {
-            "camera": {"width": 1, "height": 1, "cx": 0.0, "cy": 0.0, "fx": 1.0, "fy": 1.0}
-        },
-        "tension 0": {"pneumatics": {"tension_n_per_m": 0.0}},
-        "tension inf": {"pneumatics": {"tension_n_per_m": float("inf")}},
-        "gauge 0": {"pneumatics": {"gauge_pressure_pa": 0.0}},
-        "chamber 0": {"pneumatics": {"chamber_volume_m3": 0.0}},
-        "rim radius in mm": {"membrane": {"rim_radius_m": 75.0}},
+        "NaN in the sensor pose": {pose: [0.0, nan, -0.104]},
+        "NaN in the sensor's quaternion": {turn: [0.0, nan, 0.0, 1.0]},
+        "sensor pose in mm": {pose: [0.0, 0.0, -104.0]},
+        "quaternion of length 2": {turn: [0.0, 0.0, 0.0, 2.0]},
+        "camera turned away": {turn: [1.0, 0.0, 0.0, 0.0]},
+        "camera of one pixel": {f"camera.{name}": value for name, value in pixel.items()},
+        "tension 0": {"pneumatics.tension_n_per_m": 0.0},
+        "tension inf": {"pneumatics.tension_n_per_m": inf},
+        "gauge 0": {"pneumatics.gauge_pressure_pa": 0.0},
+        "chamber 0": {CHAMBER: 0.0},
+        "rim radius in mm": {"membrane.rim_radius_m": 75.0},
     }
     for name, changes in wrong.items():
         must: Must = "either" if name == "camera of one pixel" else "refuse"
         yield Case(name, Trial(changes), must, quick="sensor pose" in name)
-    yield Case("NaN in the object's pose", Trial(offset_m=(float("nan"), 0.0)), "refuse")
+    yield Case("NaN in the object's pose", Trial(offset_m=(nan, 0.0)), "refuse")
     cut = Trial(alter=lambda d: d[:-1])
     yield Case("image of the wrong size", cut, "refuse", quick=True)
-    yield Case("camera inside the dome", Trial({"camera": {"position_m": [0.0, 0.0, 0.02]}}))
+    yield Case("camera inside the dome", Trial({pose: [0.0, 0.0, 0.02]}))
     yield Case("unknown solver", Trial(options=EstimatorOptions(solver="magic")), "refuse")
 
 
 def _solvers() -> Iterator[Case]:
-    extremes: dict[str, dict[str, float]] = {
+    extremes: dict[str, dict[str, Any]] = {
         "ordinary": {},
-        "tension 1e-3 N/m": {"tension_n_per_m": 1e-3},
-        "tension 1e6 N/m": {"tension_n_per_m": 1e6},
-        "chamber 1e-7 m³": {"chamber_volume_m3": 1e-7},
+        "tension 1e-3 N/m": {"pneumatics.tension_n_per_m": 1e-3},
+        "tension 1e6 N/m": {"pneumatics.tension_n_per_m": 1e6},
+        "chamber 1e-7 m³": {CHAMBER: 1e-7},
     }
     options = EstimatorOptions(solver="paper")
     for name, values in extremes.items():
         must: Must = "either" if values else "solve"
-        yield Case(f"paper, {name}", Trial({"pneumatics": values}, options=options), must)
+        yield Case(f"paper, {name}", Trial(values, options=options), must)
 
 
 def _rubber_trial(
-    prestretch: float | None = 1.2,
-    membrane: dict[str, Any] | None = None,
-    pneumatics: dict[str, Any] | None = None,
-    **changes: Any,
+    prestretch: float | None = 1.2, sensor: dict[str, Any] | None = None, **changes: Any
 ) -> Trial:
     """A ball pressed into the exact membrane."""
-    sensor = {
-        "membrane": {"nodes": 800, "prestretch": prestretch, **(membrane or {})},
-        "pneumatics": pneumatics or {},
-    }
+    own = {"membrane.nodes": 800, "membrane.prestretch": prestretch, **(sensor or {})}
     usual: dict[str, Any] = {"object_name": "sphere", "repeats": 2, "truth_nodes": 2_000}
-    return Trial(sensor, options=EstimatorOptions(solver=RUBBER), **{**usual, **changes})
+    return Trial(own, options=EstimatorOptions(solver=RUBBER), **{**usual, **changes})
 
 
 def _rubber() -> Iterator[Case]:
@@ -502,16 +479,17 @@ def _rubber() -> Iterator[Case]:
     yield Case("rubber, constant tension", _rubber_trial(None))
     for share in (0.02, 0.05, 0.2, 1.2, 1.5):
         height = share * 0.075
-        trial = _rubber_trial(membrane={"height_m": height}, depth_m=min(0.012, 0.5 * height))
+        own = {"membrane.height_m": height}
+        trial = _rubber_trial(sensor=own, depth_m=min(0.012, 0.5 * height))
         yield Case(f"rubber, dome {100 * share:g} % of the rim radius", trial)
     # Tall, highly stretched domes are beyond the limit pressure; only the enclosed gas is stable.
     for volume in (5e-4, 2.2e-3, 1.0):
-        tall = _rubber_trial(1.6, {"height_m": 0.09}, {"chamber_volume_m3": volume})
+        tall = _rubber_trial(1.6, {"membrane.height_m": 0.09, CHAMBER: volume})
         yield Case(f"rubber, over-inflated, chamber {volume:g} m³", tall)
         measured = replace(tall, gas_pressure_pa="true")
         yield Case(f"rubber, over-inflated, chamber {volume:g} m³, gas measured", measured)
     for nodes in (30, 100, 5_000):
-        trial = _rubber_trial(membrane={"nodes": nodes})
+        trial = _rubber_trial(sensor={"membrane.nodes": nodes})
         yield Case(f"rubber, {nodes} nodes", trial, limit_s=300.0, quick=nodes == 30)
     for depth in (1e-4, 0.020, 0.030, 0.045):
         yield Case(f"rubber, press of {1e3 * depth:g} mm", _rubber_trial(depth_m=depth))

@@ -31,7 +31,7 @@ def test_coverage_of_known_rows():
     rows = rows_of("gauge_pressure_pa", 2500.0, values, 140.0)
     rows.append(CoverageRow("sheet", 20, "levels", "gauge_pressure_pa", 2500.0))
     (one,) = coverages(rows)
-    assert (one["seeds"], one["determined"]) == (21, 20)
+    assert (one["count"], one["determined"]) == (21, 20)
     assert one["covered"] == pytest.approx(0.95)
     assert one["rms_error"] == pytest.approx(np.sqrt((0.04**2 + 0.08**2) / 20))
     assert one["worst_error"] == pytest.approx(0.08)

@@ -1,9 +1,11 @@
 """Coverage of tracked poses: of known rows, and of a small run."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from benchmarks.pose_coverage import Grid, PoseRow, coverage_study, points, report_of
+from benchmarks.pose_coverage import Grid, PoseRow, coverage_study, report_of
 from bubbleviz.sensor import load_sensor
 
 SMALL = Grid(
@@ -12,10 +14,11 @@ SMALL = Grid(
 
 
 def test_coverage_of_known_rows():
-    inside = PoseRow("nut", "linear", "1 %", True, "ok", 1e-4, 2e-4, 0.1, 12.5, 8.0, 20.0)
-    outside = PoseRow("nut", "linear", "1 %", True, "ok", 1e-4, 2e-4, 0.1, 12.7, 8.0, 20.0)
-    lost = PoseRow("nut", "linear", "1 %", True, "lost")
-    (one,) = points([*18 * [inside], outside, lost])
+    what = "nut", "linear", "1 %", "moving"
+    inside = PoseRow(*what, "ok", 12.5, 8.0, 20.0, error_m=1e-4, whole_m=2e-4, whole_rad=0.1)
+    outside, lost = replace(inside, distance2=12.7), PoseRow(*what, "lost")
+    (table,) = report_of([*18 * [inside], outside, lost]).tables
+    (one,) = table.records
     assert (one["count"], one["lost"]) == (20, 1)
     assert one["covered"] == pytest.approx(0.9)
     assert one["whole_m"] == pytest.approx(2e-4)
@@ -27,7 +30,7 @@ def test_coverage_of_known_rows():
 def test_poses_of_a_small_run():
     study = coverage_study(load_sensor("pico_flexx_75mm"), SMALL).run()
     assert study.omitted == []
-    assert [row.moving for row in study.rows] == [False, True]
+    assert [row.motion for row in study.rows] == ["at rest", "moving"]
     for row in study.rows:
         assert row.status == "ok"
         assert row.error_m < 2e-4

@@ -1,19 +1,20 @@
 """Poses of dragged objects: of known rows, and of a few frames."""
 
+from dataclasses import replace
+
 import pytest
 
-from benchmarks.pose_dragged import DraggedRow, Grid, dragged_study, points, report_of
+from benchmarks.pose_dragged import DraggedRow, Grid, dragged_study, report_of
 from tests.rubber_renders import rubber_truth
 
 
 def test_targets_of_known_rows():
-    good = DraggedRow("ball", 5e-5, 0, 3, "ok", 1e-4, 0.01, 0.5)
-    wide, lost = (
-        DraggedRow("ball", 5e-5, 0, 4, "ok", 4e-4, 0.0, 1.5),
-        DraggedRow("ball", 5e-5, 0, 5, "lost"),
-    )
+    good = DraggedRow("ball", 5e-5, 0, 3, "ok", 0.5, error_m=1e-4, error_rad=0.01)
+    wide = replace(good, error_m=4e-4, error_rad=0.0, distance2=1.5)
+    lost = DraggedRow("ball", 5e-5, 0, 5, "lost")
     assert all(target.met for target in report_of([good]).targets)
-    (one,) = points([good, good, wide])
+    (table,) = report_of([good, good, wide]).tables
+    (one,) = table.records
     assert one["error_m"] == pytest.approx(1e-4)
     assert one["error_m_worst"] == pytest.approx(4e-4)
     assert one["covered"] == pytest.approx(2 / 3)

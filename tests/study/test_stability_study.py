@@ -49,7 +49,7 @@ def test_quick_cases_all_pass_or_are_refused():
     assert found["cases"] == found["passed"] + found["refused"] == len(study.cases[::every])
 
 
-SMALL = Trial({"membrane": {"nodes": 300}}, truth_nodes=1_500, repeats=1)
+SMALL = Trial({"membrane.nodes": 300}, truth_nodes=1_500, repeats=1)
 
 
 class Broken(Pipeline):
@@ -100,7 +100,7 @@ RUBBER_MUTANTS = {
     "weak": (lambda e: {"status": "no_contact"}, "but the estimate has contact pressure"),
 }
 SMALL_RUBBER = replace(
-    SMALL, sensor={"membrane": {"nodes": 300, "prestretch": 1.2}}, object_name="sphere"
+    SMALL, sensor={"membrane.nodes": 300, "membrane.prestretch": 1.2}, object_name="sphere"
 )
 
 
