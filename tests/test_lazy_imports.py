@@ -15,13 +15,13 @@ def printed(code, *arguments):
 QT = ("PySide6", "pyqtgraph", "pyvista", "pyvistaqt", "vtkmodules")
 WINDOW = (*QT, "bubbleviz_ui")
 HEAVY = ("numpy", "scipy", "pydantic", "osqp", "open3d", "rosbags", "matplotlib", "pandas")
-MAIN = "import click; from bubbleviz.cli.command_line import main\n"
+MAIN = "import click; from bubbleviz.cli.command_line import VERBS, main\n"
 HELP = MAIN + "for name in {}: main([name, '--help'], standalone_mode=False)"
 COMMAND = MAIN + "main({!r}.split() + sys.argv[1:], standalone_mode=False)"
 UNUSED = {
     "the library": ("import bubbleviz", (*HEAVY, *WINDOW)),
     "help": (MAIN + "main(['--help'], standalone_mode=False)", (*HEAVY, *QT)),
-    "help of commands without a window": (HELP.format("main.commands"), (*HEAVY, *WINDOW)),
+    "help of commands without a window": (HELP.format("VERBS"), (*HEAVY, *WINDOW)),
     "help of every command": (
         HELP.format("main.list_commands(click.Context(main))"), (*HEAVY, *QT),
     ),

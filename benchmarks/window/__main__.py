@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from bubbleviz.cli.binding import report
 from bubbleviz.cli.command_line import OneLineErrors
-from bubbleviz.cli.shared_options import report
 from bubbleviz.files import SYNTHETIC_SENSOR, to_json
 
 if TYPE_CHECKING:

@@ -199,24 +199,26 @@ def batch(
     progress: Progress = quiet,
     **options: Any,
 ) -> BatchSummary:
-    """Estimate every recording in a folder and its subfolders in parallel; write OUT/summary.csv.
+    """Estimate all recordings in a folder and its subfolders, in parallel.
 
-    The result of FOLDER/a/b.mcap is in OUT/a/b.mcap/. An interrupted batch leaves complete results
-    only, and hidden temporary files that `resume` removes.
+    OUT/summary.csv compares them; the result of FOLDER/a/b.mcap is in OUT/a/b.mcap/. If a recording
+    fails, the others continue; the exit code of the command is then 2 (bad input) or 1. An
+    interrupted batch leaves complete results only, and hidden temporary files that `resume`
+    removes.
 
     Parameters
     ----------
     folder : path
     out : path
-        New folder, or one of an earlier batch.
+        New folder for the results, or one of an earlier batch.
     sensor : str or path
-        File or preset; `auto` for the preset that fits each recording.
+        Sensor file or preset; `auto`: the preset that fits each recording.
     jobs : int, optional
-        Processes; by default the number of processors available.
+        Number of processes; one per processor by default.
     scheduler : str, optional
-        Address of a Dask scheduler, instead of local processes.
+        Address of a Dask scheduler, such as tcp://10.0.0.5:8786, instead of local processes.
     resume : bool
-        Keep existing results of the same recordings with the same settings.
+        Continue in an existing folder; keep results that are up to date.
     overwrite : bool
         Replace the results in `out`.
     progress : callable

@@ -54,7 +54,7 @@ def check(
     sensor : str, path or Sensor
         As in `estimate`.
     contact_free : sequence of int or str, optional
-        Indices into `frames`, or "A:B"; searched by default.
+        Frames without contact, as indices or as "A:B", A to B−1; searched by default.
     progress : Progress
 
     Returns

@@ -154,18 +154,22 @@ def compare(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> Comparison:
-    """Compare two recordings, or two estimates of one, frame by frame: force and patch area.
+    """Compare force and patch area of two recordings, frame by frame.
+
+    Give a recording twice to compare two sensor files, or two estimates of it.
 
     Parameters
     ----------
     first, other : Run, sequence of Frame or path
         What `estimate` found with any options, a RESULT.npz, or a recording, which is estimated.
-    sensor, other_sensor : str, path or Sensor, optional
-        Sensors of the recordings, as in `estimate`; by default the same for both.
+    sensor
+        As in `estimate`.
+    other_sensor : str, path or Sensor, optional
+        Sensor file or preset of `other`; by default the same as for `first`.
     align : {"time", "contact"}
-        By the time since the start of each, or since its first frame with contact.
+        time: since both began; contact: since their first frame with contact.
     out : path, optional
-        As in `Comparison.save`.
+        PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.
     overwrite : bool
         Replace existing files.
     progress : Progress

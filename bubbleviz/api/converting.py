@@ -67,19 +67,31 @@ def convert(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> ConvertSummary:
-    """Convert a recording or a folder of depth images to MCAP.
+    """Convert depth images or another recording to MCAP.
+
+    Depth, colour, camera info, gas pressure and wrench are kept, the last two at the times of the
+    frames.
 
     Parameters
     ----------
     source : path
-        A folder of images, or a recording for `open`.
+        A folder of depth images (.npy, 16-bit .png or .tif, in the order of the numbers in their
+        names), a ROS 1 or RealSense .bag, or a rosbag2 .db3.
     out : path
         `X.mcap`, or a new folder for a rosbag2.
-    intrinsics, times, gas_pressure, wrench : path, optional
-        Files for a folder of images, see `bubbleviz.recordings.image_folder`; defaults for the
-        first two are `intrinsics.toml` or `.json` and `times.csv` in the folder.
-    rate_hz, metres_per_unit : float, optional
-        For a folder of images: images per second, where they have no times; and unit of depth.
+    intrinsics : path, optional
+        Sensor file, or TOML or JSON with width, height, fx, fy, cx, cy, distortion_model and
+        distortion; by default intrinsics.toml or .json in the folder of images.
+    times : path, optional
+        CSV with a time in s for each image; by default times.csv in the folder, or the file names.
+    gas_pressure : path, optional
+        CSV of time in s and absolute gas pressure in Pa, to add to images.
+    wrench : path, optional
+        CSV of time in s, forces x y z in N, torques in N·m, to add to images.
+    rate_hz : float, optional
+        Images per second, instead of `times`.
+    metres_per_unit : float, optional
+        Depth of a pixel value of 1, m; by default 0.001 for integers, 1 for floats.
     overwrite : bool
         Replace existing files.
     progress : Progress

@@ -106,9 +106,10 @@ def estimate(
     timeout_s: float | EllipsisType | None = ...,
     progress: Progress = quiet,
 ) -> FrameResult | Run | Iterator[FrameResult]:
-    """Estimate membrane, contact pressure (Eq. 23), contact patch and force.
+    """Estimate contact pressure, patch and force in every frame.
 
-    Each frame is warm-started from the solution of the previous one.
+    By Eq. 23, or the exact membrane. Each frame is warm-started from the solution of the previous
+    one.
 
     Parameters
     ----------
@@ -116,25 +117,29 @@ def estimate(
         Returned by `open`, `simulate` or `connect`, a slice of it, or the path of a recording. For
         arrays use `Estimator`.
     sensor : str, path or Sensor
-        Sensor file or preset; `auto` is the preset with the images' size, or the stream's sensor.
+        Sensor file or preset; `auto`: the preset whose camera has the images' size, or the
+        stream's sensor.
     kappa : float, optional
         Threshold of the patch over the mean contact pressure (V-C); automatic by default.
     solver : str, optional
-        `rubber`: the exact membrane, default if the sensor has a pre-stretch; `linear` and `paper`
-        (the QP of the paper, by OSQP): constant tension; `fast`: linear on a coarse mesh.
+        `rubber`: exact membrane, default if the sensor has a pre-stretch; `linear`: constant
+        tension, default otherwise; `fast`: linear on a coarse mesh; `paper`: the paper's QP by
+        OSQP; `rubber-base`, `linear-base`: without the finer mesh at the contact.
     friction : float, optional
         Expected coefficient of friction on the exact membrane, 1 by default; 0 for no friction.
     zero_gas : bool
         Shift the measured gas pressure so that contact-free frames have that of the sensor file.
         Without such frames the interval of the force includes the ±2 kPa of the weather, or ±10 kPa
-        if the file has the standard atmosphere. False: no shift.
+        if the file has the standard atmosphere. Otherwise it is used as measured.
     shear : bool
         Force by depth and colour images together, with friction at every node, and slip.
     colour_delay_s : float, optional
         Stamp of a colour image minus that of the depth image of the same scene, s; negative if
-        colour leads depth. By default the sensor file's.
-    out, csv : path, optional
-        RESULT.npz and RESULT.csv, written frame by frame; results are then not kept in memory.
+        colour leads depth. By default the sensor file's, else 0.
+    out : path, optional
+        Results of all frames, RESULT.npz, written frame by frame and then not kept in memory.
+    csv : path, optional
+        Table with one row per frame, RESULT.csv, likewise.
     overwrite : bool
         Replace existing files.
     timeout_s : float, optional
@@ -260,7 +265,7 @@ def track(
     timeout_s: float | EllipsisType | None = ...,
     progress: Progress = quiet,
 ) -> Run | Iterator[FrameResult]:
-    """Track a known object through frames, as `bubbleviz pose` does.
+    """Find the pose of a known object in every frame.
 
     Parameters
     ----------
@@ -270,13 +275,13 @@ def track(
     sensor, solver, friction, zero_gas, timeout_s, progress
         As in `estimate`.
     init : str or (4, 4) array, optional
-        T_B_O in the first frame, or "x y z qx qy qz qw"; by default it is searched.
+        T_B_O in the first frame, as a str "x y z qx qy qz qw"; by default it is searched.
     unit : {"m", "mm"}, optional
-        Of the object's file; by default millimetres if its name ends in `_mm`, else metres.
+        Unit of the object's mesh file; by default mm if its name ends in `_mm`, else m.
     object_patch : bool
         Also compute the patch from the object's surface; adds columns of both areas.
     out : path, optional
-        POSES.csv; other results are then not kept in memory.
+        Poses, POSES.csv; other results are then not kept in memory.
     overwrite : bool
         Replace an existing file.
 

@@ -52,7 +52,7 @@ def export(
     out: str | Path,
     sensor: SensorName = AUTO,
     *,
-    what: str | Sequence[str] = (),
+    what: str | Sequence[str] = "",
     poses: str | Path | None = None,
     kappa: float | None = None,
     solver: str | None = None,
@@ -62,7 +62,7 @@ def export(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> ExportSummary:
-    """Write frames as tables, plots, ParaView and PLY series, patch clouds and pictures.
+    """Write tables, plots, meshes, points or pictures of a recording.
 
     Only products that the chosen files need are computed; depth pictures need no solve.
 
@@ -72,13 +72,13 @@ def export(
     out : path
         TABLE.csv, TABLE.parquet, PLOTS.png (or .svg, .pdf), or a new folder for `what`.
     sensor, kappa, solver, friction, shear, colour_delay_s, progress
-        As of `estimate`; with `shear`, tables and the LeRobot dataset have slip.
+        As in `estimate`; with `shear`, tables and the LeRobot dataset have slip.
     what : str or sequence of str
-        Kinds of files in a folder: table, parquet, plots, lerobot (dataset of one episode, v3.0),
-        vtk (ParaView), ply, patch (points with pressure), depth, pressure (pictures; png for both);
-        separated by commas in a str.
+        Files for the folder, separated by commas in a str: table, parquet, plots, lerobot (dataset
+        of one episode, v3.0), vtk (ParaView), ply, patch (points with pressure), depth, pressure
+        (pictures; png for both).
     poses : path, optional
-        POSES.csv to join to the table.
+        POSES.csv of `track`, to join to the table.
     overwrite : bool
         Replace a file, or a folder of such files.
 

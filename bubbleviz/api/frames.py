@@ -120,10 +120,11 @@ def open(
         in m) or a point cloud and optionally camera info, gas pressure and wrench; or a format of a
         plug-in.
     frames : str, optional
-        `A:B` or `A:B:STEP`, B excluded; all by default.
-    depth_topic, info_topic, pressure_topic, wrench_topic : str, optional
-        Topics to use; by default the first depth topic, and of the others that of the most similar
-        name.
+        Frames A to B−1, counted from 0, as A:B or A:B:STEP; all by default.
+    depth_topic : str, optional
+        Topic of the depth images; by default the first.
+    info_topic, pressure_topic, wrench_topic : str, optional
+        Other topics; by default those most similar in name to the depth topic.
 
     Returns
     -------
@@ -282,7 +283,7 @@ class RecordingInfo(Summary):
 
 
 def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
-    """Facts of a recording: topics, frames, rate, duration, size, gaps.
+    """List topics, frames, rate and gaps of a recording.
 
     Parameters
     ----------

@@ -172,23 +172,26 @@ def identify(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> Identified:
-    """Identify tension γ0, reference surface and pixels of an untouched sensor.
+    """Make a sensor file from contact-free frames.
+
+    Determines the reference surface, the tension γ0 and the error of each pixel. Inflation levels
+    with gas pressures also give the pre-stretch λ and the gauge pressure; so does, less precisely,
+    a press held still.
 
     Parameters
     ----------
     frames : Frames or path
         Recording that begins without contact.
     sensor : str, path or Sensor
-        Initial sensor: name, camera pose, gauge pressure, chamber volume.
+        Initial sensor, file or preset: name, camera pose, gauge pressure, chamber volume.
     contact_free : sequence of int or str, optional
-        Indices into `frames`, or "A:B"; by default they are searched.
+        Frames without contact, as indices or as "A:B", A to B−1; searched by default.
     surface : {"sphere", "ellipsoid", "free-form"}, optional
-        By default chosen by cross-validation.
+        Shape of the membrane; by default chosen by cross-validation.
     nodes : int
-        Of the mesh.
+        Nodes of the mesh.
     levels : iterable of Frames or path
-        The untouched sensor at other inflation levels, for a better correction of the pixels and,
-        if gas pressures were recorded, pre-stretch λ and gauge pressure.
+        Recordings of the untouched sensor at other inflation levels.
     level_sigma : float, optional
         Standard deviation of gas pressure differences between recordings, Pa, by drift of the
         sensor's zero and the weather. By default 1 % of the largest gauge pressure, as for silicon
@@ -196,12 +199,19 @@ def identify(
     vented : Frames or path, optional
         Recording of the open chamber, for the atmospheric pressure.
     held_press : bool
-        Determine λ and gauge pressure from a held press in `frames` if there are no levels.
-    object, pose, pressed : str, optional
-        Validate by a known press in `frames`: mesh file or preset, its T_B_O as
-        "x y z qx qy qz qw" (m, unit quaternion), and the frames "A:B" in which it is held still.
-    out, report, overwrite
-        As in `Identified.save`, which is called if `out` is given.
+        Determine λ and gauge pressure from a press held still in `frames` if there are no levels.
+    object : str, optional
+        Known object pressed in `frames`, for validation: mesh file or preset.
+    pose : str, optional
+        Pose T_B_O of that object, "x y z qx qy qz qw" (m, unit quaternion).
+    pressed : str, optional
+        Frames "A:B" in which that object is held still.
+    out : path, optional
+        Sensor file, SENSOR.toml.
+    report : path, optional
+        New folder for the report, HTML and JSON.
+    overwrite : bool
+        Replace existing files.
     progress : callable
         Called with each step and its completed share.
 

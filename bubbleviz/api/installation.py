@@ -52,7 +52,7 @@ class Listing(Summary):
 
 
 def presets() -> Listing:
-    """List the sensors and objects shipped with bubbleviz, for `sensor` and `object`.
+    """List the sensors and objects shipped with bubbleviz.
 
     Returns
     -------
@@ -71,7 +71,7 @@ def presets() -> Listing:
 
 
 def doctor() -> Listing:
-    """Collect facts for a bug report: versions, libraries, OpenGL, cameras.
+    """List versions, libraries, OpenGL and cameras, for bug reports.
 
     Returns
     -------

@@ -73,20 +73,21 @@ def record(
     duration_s: float | None = None,
     overwrite: bool = False,
 ) -> RecordSummary:
-    """Record every message of a live source until the duration is over, it ends, or ^C.
+    """Record every message of a live source.
 
-    After a crash of the machine the file can be opened up to the last second.
+    Until the duration is over, the source ends, or ^C. After a crash of the machine the file can be
+    opened up to the last second.
 
     Parameters
     ----------
     source : str
         As in `connect`.
     out : path
-        `X.mcap`, or a rosbag2 folder.
+        Recording: REC.mcap, or a folder (rosbag2).
     sensor : str, path or Sensor
-        Simulated by `synthetic:`; `auto` is the built-in one.
+        Sensor to simulate, only for `synthetic:`; `auto`: the built-in one.
     duration_s : float, optional
-        From the first message, s.
+        Duration from the first message on, s; by default until ^C or the end of the source.
     overwrite : bool
         Replace existing files.
 
@@ -203,17 +204,19 @@ def publish(
     wait: bool = False,
     **credentials: str | None,
 ) -> PublishSummary:
-    """Publish every message of a source over Zenoh until the duration is over, it ends, or ^C.
+    """Publish a source over Zenoh, as ROS 2 nodes would.
 
-    Slow subscribers delay the source; no message is lost.
+    Every message, until the duration is over, the source ends, or ^C. Slow subscribers delay the
+    source; no message is lost.
 
     Parameters
     ----------
     source, sensor, duration_s
         As in `record`.
-    listen, connect : str, optional
-        Endpoint that subscribers connect to, `tcp/127.0.0.1:7447` by default, or router to publish
-        through.
+    listen : str, optional
+        Endpoint for subscribers that connect; tcp/127.0.0.1:7447 by default.
+    connect : str, optional
+        Router to publish through, such as tcp/HOST:7447.
     domain : int
         ROS_DOMAIN_ID.
     wait : bool

@@ -103,14 +103,16 @@ def simulate(
     twist_rad: float = 0.0,
     texture: bool = False,
 ) -> Simulation:
-    """Press a rigid object into a simulated sensor (Eq. 16, or the exact membrane).
+    """Simulate a rigid object pressed into a sensor.
+
+    By Eq. 16, or the exact membrane.
 
     Parameters
     ----------
     sensor : str, path or Sensor
         Sensor file or preset.
     object : str, path or RigidObject
-        Mesh file or preset.
+        Preset or mesh file, in m (in mm if its name ends in `_mm`).
     pose : str, Path or array
         T_B_O: "x y z qx qy qz qw" (m, unit quaternion) or an array (4, 4) for all frames, an array
         (F, 4, 4), or the `Path` of a CSV with a pose for each frame.
@@ -118,23 +120,30 @@ def simulate(
         Frames at one pose.
     rate_hz : float
         Frames per second.
-    noise_sigma_m, noise_relative : float
-        σ of range, m, and relative to range; their squares add.
+    noise_sigma_m : float
+        Noise: standard deviation of range, m.
+    noise_relative : float
+        Noise: standard deviation of range divided by range; squares of both add.
     noise_correlation_px : float
-        1/e distance of the noise, pixels; 0 for white noise.
-    holes, outliers : float
-        Fractions of pixels without a return, and with a gross error.
+        1/e distance of the noise's correlation, pixels; 0: white noise.
+    holes : float
+        Fraction of pixels without a return, from 0 to below 1.
+    outliers : float
+        Fraction of pixels with a grossly wrong depth, from 0 to below 1.
     seed : int
+        Seed of the noise.
     model : {"rubber", "linear"}, optional
-        By default the exact membrane if the sensor has a pre-stretch.
+        rubber: exact membrane, default if the sensor has a pre-stretch; linear: constant tension.
     friction : float
         Coulomb's μ between object and exact membrane, up to 5; each frame then depends on the
         previous ones. 0: frictionless.
-    drag_m, twist_rad : float
-        The object approaches a single pose from above, then is dragged along x of the bubble frame,
-        m, and twisted about its own z axis, rad; needs 10 frames or more.
+    drag_m : float
+        After a press from above at a single pose, drag the object along x of B, m; needs 10 frames
+        or more.
+    twist_rad : float
+        After press and drag, twist the object about its z axis, rad; needs 10 frames or more.
     texture : bool
-        Print a speckle pattern on the membrane, visible in `frame.colour`.
+        Print a speckle on the membrane, and add colour images.
 
     Returns
     -------

@@ -130,7 +130,9 @@ def validate(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> ValidationSummary:
-    """Compare the estimated force with a wrench sensor's: bias, gain, rotation, delay, hysteresis.
+    """Compare the estimated force with a wrench sensor's.
+
+    Reports bias, gain, rotation, delay and hysteresis with 95 % intervals; corrects nothing.
 
     Parameters
     ----------
@@ -139,10 +141,10 @@ def validate(
     sensor, solver, friction, zero_gas, progress
         As in `estimate`.
     wrench : str, optional
-        Topic of the wrenches in a recording given by its path; by default that of the most similar
-        name.
+        Topic of the wrenches in a recording given by its path; by default that most similar in name
+        to the depth topic.
     out : path, optional
-        As in `ValidationSummary.save`.
+        PLOT.png (.svg, .pdf), TABLE.csv, NUMBERS.json, or a new folder for all.
     overwrite : bool
         Replace existing files.
 

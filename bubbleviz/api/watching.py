@@ -147,27 +147,36 @@ def watch(
     colour_delay_s: float | None = None,
     **credentials: str | None,
 ) -> WatchSummary:
-    """Estimate a live source until the duration is over, it ends, or ^C.
+    """Estimate a live source; publish or record the results.
 
-    For results in Python use `connect`, then `estimate` or `track`.
+    Until the duration is over, the source ends, or ^C. With `shear`, start without contact: the
+    first colour images are the reference.
 
     Parameters
     ----------
     source, sensor
         As in `connect`.
     out : path, optional
-        Recording of messages and results; `overwrite` replaces an existing one.
-    listen, connect : str, optional
-        Publish results over Zenoh: subscribers connect to this endpoint, or through this router.
+        Recording of messages and results.
+    overwrite : bool
+        Replace existing files.
+    listen : str, optional
+        Publish results at this endpoint for subscribers that connect, such as tcp/127.0.0.1:7448.
+    connect : str, optional
+        Publish results through this router, such as tcp/HOST:7447.
     duration_s : float, optional
-        From the first frame, s.
+        Duration from the first frame on, s; by default until ^C or the end of the source.
     object : str, path or RigidObject, optional
-        Mesh file or preset of an object to track.
+        Object to track: preset, or mesh file in m (in mm if its name ends in `_mm`).
     solver, friction, zero_gas, shear, colour_delay_s
-        As in `estimate`; zero of the gas pressure and reference of shear come from the first
-        contact-free frames.
+        As in `estimate`; the zero of the gas pressure comes from the first contact-free frames.
     **credentials
         `ca`, `cert`, `key` and `login`, files of the Zenoh session.
+
+    Returns
+    -------
+    WatchSummary
+        For results in Python use `connect`, then `estimate` or `track`.
 
     Raises
     ------

@@ -15,8 +15,8 @@ from typing import Any, NoReturn
 import click
 
 import bubbleviz
-from bubbleviz.cli import verb_commands
 from bubbleviz.cli.study_commands import study
+from bubbleviz.cli.verb_commands import VERBS
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.wording import encodable, how_to_install
 
@@ -119,7 +119,7 @@ class AllCommands(OneLineErrors):
     """Commands of the backend, and commands of the window, which are imported on use."""
 
     def list_commands(self, context: click.Context) -> list[str]:
-        return sorted({*self.commands, *entry_points(group=WINDOW_GROUP).names})
+        return sorted({*self.commands, *VERBS, *entry_points(group=WINDOW_GROUP).names})
 
     def get_command(self, context: click.Context, name: str) -> click.Command | None:
         """Load a command; None if it does not exist.
@@ -127,6 +127,8 @@ class AllCommands(OneLineErrors):
         Raises InputError: it is a command of the window, which is not installed.
         """
         name = ALIASES.get(name, name)
+        if name in VERBS and name not in self.commands:
+            self.add_command(VERBS[name].command(name))
         if name in self.commands:
             return self.commands[name]
         for entry in entry_points(group=WINDOW_GROUP, name=name):
@@ -162,6 +164,4 @@ def main(context: click.Context, fresh: bool) -> Any:
     return context.invoke(window, fresh=fresh)
 
 
-for command in (*vars(verb_commands).values(), study):
-    if isinstance(command, click.Command):
-        main.add_command(command)
+main.add_command(study)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bubbleviz.cli.shared_options import PATH, json_option
+from bubbleviz.cli.binding import PATH, json_option
 from bubbleviz.files import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:

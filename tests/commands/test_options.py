@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from bubbleviz.cli.command_line import main
+from bubbleviz.cli.command_line import VERBS, main
 from tests.program import output_of, refusal
 
 
@@ -37,6 +37,13 @@ def test_former_option_names_work_and_are_hidden(name, needed, former, present):
     assert "zero" in former or params(former) != params("")
     shown = output_of(name, "--help")
     assert present.split()[0] in shown and f"{former.split()[0]} " not in shown
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_option_has_a_text(name):
+    """From the docstrings of the functions."""
+    options = [each for each in command(name).params if isinstance(each, click.Option)]
+    assert not [each.name for each in options if not (each.help or each.hidden)]
 
 
 def test_pose_command_has_the_name_of_the_api_function_as_alias():

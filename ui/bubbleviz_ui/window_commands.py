@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from bubbleviz.cli.shared_options import colour_delay_option, overwrite_option
-from bubbleviz.files import SESSION_SUFFIX, SYNTHETIC_SENSOR, preset_names
+from bubbleviz.files import MAX_COLOUR_DELAY_S, SESSION_SUFFIX, SYNTHETIC_SENSOR, preset_names
 
 _fresh = click.option(
     "--fresh", is_flag=True, help="Neither restore the last session nor save this one."
@@ -40,7 +39,13 @@ def window(fresh: bool) -> int:
     type=click.Path(path_type=Path),
     help="TRUTH.npz of a simulated REC; by default the one next to it with the same name.",
 )
-@colour_delay_option
+@click.option(
+    "--colour-delay",
+    "colour_delay_s",
+    type=click.FloatRange(-MAX_COLOUR_DELAY_S, MAX_COLOUR_DELAY_S),
+    help="Stamp of a colour image minus that of the depth image of the same scene, s; negative "
+    "if colour leads depth. By default the sensor file's, else 0.",
+)
 @click.option(
     "--frame", type=click.IntRange(0), help="Show this frame, the first is 0, and do not play."
 )
@@ -49,7 +54,7 @@ def window(fresh: bool) -> int:
     type=click.Path(path_type=Path),
     help="Write a PNG picture of the window and exit.",
 )
-@overwrite_option
+@click.option("--overwrite", is_flag=True, help="Replace existing files.")
 @_fresh
 def open_recording(
     recording: Path | None,
