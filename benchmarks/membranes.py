@@ -13,7 +13,7 @@ from functools import cache, partial
 import bubbleviz as bv
 from bubbleviz.calibration import collect, with_rubber
 from bubbleviz.camera import DepthCamera
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, changed
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, InflatedRubber, RubberPresses, with_noise
 from bubbleviz.study import accuracy
@@ -75,9 +75,8 @@ _RUBBER: dict[str, Callable[[float], InflatedRubber]] = {
 def _known(rubber: InflatedRubber) -> SensorModel:
     """The sensor with its true numbers, on another mesh of its true surface."""
     drawn = rubber.sensor()
-    membrane = drawn.membrane.model_copy(update={"prestretch": rubber.prestretch})
-    known = {"membrane": membrane, "pneumatics": rubber.pneumatics}
-    sensor = drawn.model_copy(update=known)
+    sensor = changed(drawn, membrane={"prestretch": rubber.prestretch})
+    sensor = sensor.model_copy(update={"pneumatics": rubber.pneumatics})
     return SensorModel(sensor, DepthCamera.of(sensor.camera), resting(rubber, _NODES))
 
 

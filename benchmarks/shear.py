@@ -15,12 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.camera import FlowField
-from bubbleviz.membrane import Gas, MembraneMesh, TriangleScene, build_mesh, build_rubber
+from bubbleviz.membrane import Gas, MembraneMesh, build_mesh, build_rubber
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result, Traction
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise
+from bubbleviz.study.accuracy import at_nodes
 from bubbleviz.study.harness import (
     Case,
     Column,
@@ -237,10 +238,8 @@ def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMe
 
 def along_error_m(traction: Traction, truth: ShearTruth, mesh: MembraneMesh) -> float:
     """Root mean square error of the displacement along the membrane over a mesh's nodes, m."""
-    found = TriangleScene(truth.mesh.nodes, truth.mesh.triangles).closest(mesh.nodes)
-    corners = truth.mesh.triangles[found.triangle]
-    true = np.einsum("ij,ijk->ik", found.barycentric, truth.displacement_m[corners])
-    normals = np.einsum("ij,ijk->ik", found.barycentric, truth.normals[corners])
+    true = at_nodes(mesh, truth.mesh, truth.displacement_m)
+    normals = at_nodes(mesh, truth.mesh, truth.normals)
     error = traction.positions_m - mesh.nodes - true
     along = error - np.einsum("ij,ij->i", error, normals)[:, None] * normals
     return float(np.sqrt(np.mean(np.sum(along**2, axis=1))))

@@ -291,12 +291,18 @@ def edited(
     return checked(Sensor, {**data, "folder": sensor.folder, "file": sensor.file}, path, "sensor")
 
 
+def changed(sensor: Sensor, **sections: dict[str, Any]) -> Sensor:
+    """Sensor with other values in its sections, unchecked: `changed(s, membrane={"nodes": 9})`."""
+    values = {name: getattr(sensor, name).model_copy(update=new) for name, new in sections.items()}
+    return sensor.model_copy(update=values)
+
+
 def with_colour_delay(sensor: Sensor, colour_delay_s: float | None) -> Sensor:
     """Sensor with another colour delay, s, and without file name; unchanged for None."""
     if colour_delay_s in (None, sensor.camera.colour_delay_s):
         return sensor
-    camera = sensor.camera.model_copy(update={"colour_delay_s": colour_delay_s})
-    return sensor.model_copy(update={"camera": camera, "file": ""})
+    other = changed(sensor, camera={"colour_delay_s": colour_delay_s})
+    return other.model_copy(update={"file": ""})
 
 
 def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) -> None:
@@ -335,12 +341,9 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
             return copy.name
 
         if membrane.mesh_file is not None:
-            update = {"mesh_file": copied(membrane.mesh_file)}
-            sensor = sensor.model_copy(update={"membrane": membrane.model_copy(update=update)})
+            sensor = changed(sensor, membrane={"mesh_file": copied(membrane.mesh_file)})
         if calibration is not None:
-            update = {"pixels_file": copied(calibration.pixels_file)}
-            section = calibration.model_copy(update=update)
-            sensor = sensor.model_copy(update={"calibration": section})
+            sensor = changed(sensor, calibration={"pixels_file": copied(calibration.pixels_file)})
         toml.write_text(sensor_to_toml(sensor), encoding="utf-8")
 
 

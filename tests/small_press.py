@@ -4,17 +4,11 @@ from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
 from bubbleviz.recordings import RecordingWriter
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.sensor import changed, load_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 
 HEIGHTS = (0.060, 0.044, 0.042, 0.042, 0.060)
 """Of the cylinder's flat end above the rim: clear of the dome (50 mm), pressed in, and clear."""
-
-
-def changed(sensor, **sections):
-    """The sensor with other values in its sections: `changed(sensor, membrane={"nodes": 300})`."""
-    values = {name: getattr(sensor, name).model_copy(update=new) for name, new in sections.items()}
-    return sensor.model_copy(update=values)
 
 
 def coarser(sensor, times):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bubbleviz.cli.binding import report
+from bubbleviz.cli.binding import PATH, json_option, report
 from bubbleviz.cli.command_line import OneLineErrors
 from bubbleviz.files import SYNTHETIC_SENSOR, to_json
 
@@ -21,15 +21,16 @@ def bench() -> None:
 
 
 _sensor = click.option("--sensor", help="Sensor file or preset; by default the preset that fits.")
-_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, SI units.")
+_recording = click.argument("recording", metavar="REC", type=PATH)
+_perhaps = click.argument("recording", metavar="[REC]", required=False, type=PATH)
 
 
 @bench.command("window")
-@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@_perhaps
 @click.option("--synthetic", is_flag=True, help="The built-in press in place of a recording.")
 @_sensor
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=8.0, help="How long.")
-@_json
+@json_option
 def bench_window(
     recording: Path | None, synthetic: bool, sensor: str | None, seconds: float, as_json: bool
 ) -> None:
@@ -42,10 +43,10 @@ def bench_window(
 
 
 @bench.command("start")
-@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@_recording
 @_sensor
 @click.option("--runs", type=click.IntRange(1, 100), default=5, help="Processes to start.")
-@_json
+@json_option
 def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -> None:
     """Time from starting a process to its first picture of a recording."""
     from benchmarks.window.start_times import start_times
@@ -56,10 +57,10 @@ def bench_start(recording: Path, sensor: str | None, runs: int, as_json: bool) -
 
 
 @bench.command("seek")
-@click.argument("recording", metavar="REC", type=click.Path(path_type=Path))
+@_recording
 @_sensor
 @click.option("--seeks", type=click.IntRange(1, 10_000), default=60, help="How many.")
-@_json
+@json_option
 def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -> None:
     """Time from a seek anywhere in a recording to the new picture."""
     from benchmarks.window.start_times import seek_times
@@ -68,11 +69,11 @@ def bench_seek(recording: Path, sensor: str | None, seeks: int, as_json: bool) -
 
 
 @bench.command("monkey")
-@click.argument("recording", metavar="[REC]", required=False, type=click.Path(path_type=Path))
+@_perhaps
 @_sensor
 @click.option("--minutes", type=click.FloatRange(0.02, 600.0), default=10.0, help="How long.")
 @click.option("--seed", type=click.IntRange(0), default=0, help="Seed of the clicks.")
-@_json
+@json_option
 def bench_monkey(
     recording: Path | None, sensor: str | None, minutes: float, seed: int, as_json: bool
 ) -> int:
@@ -97,7 +98,7 @@ def bench_monkey(
 @click.option("--session", default="dual_nut", help="Session of two synthetic sensors.")
 @click.option("--seconds", type=click.FloatRange(1.0, 600.0), default=20.0, help="How long.")
 @click.option("--rate", type=click.FloatRange(1.0, 1000.0), default=30.0, help="Frames a second.")
-@_json
+@json_option
 def bench_pair(session: str, seconds: float, rate: float, as_json: bool) -> int:
     """Two 640×480 cameras over Zenoh into one window: rates of solved and drawn frames.
 

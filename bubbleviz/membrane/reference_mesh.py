@@ -12,7 +12,7 @@ from bubbleviz.membrane.meshing import EllipsoidalCap, load_membrane, mesh_cap, 
 from bubbleviz.membrane.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber import RubberMembrane, shear_stiffness
 from bubbleviz.membrane.stiffness import balance_tension
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, changed
 
 _CONSTANT_TENSION_ERROR = 0.07
 """Relative standard deviation of the stiffness of constant tension, as a model of rubber. For the
@@ -121,15 +121,12 @@ def varied_rubber(
         varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m, stress))
     if gauge:
         higher = pneumatics.gauge_pressure_pa + gauge
-        changed = pneumatics.model_copy(update={"gauge_pressure_pa": higher})
-        other = sensor.model_copy(update={"pneumatics": changed})
+        other = changed(sensor, pneumatics={"gauge_pressure_pa": higher})
         factor = higher / pneumatics.gauge_pressure_pa
         raised = None if stress is None else stress.times(factor)
         varied.append(build_rubber(other, mesh, factor * tension_n_per_m, rim_slack_m, raised))
     if stretch and sensor.membrane.prestretch is not None:
-        larger = {"prestretch": sensor.membrane.prestretch + stretch}
-        changed_membrane = sensor.membrane.model_copy(update=larger)
-        other = sensor.model_copy(update={"membrane": changed_membrane})
+        other = changed(sensor, membrane={"prestretch": sensor.membrane.prestretch + stretch})
         varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, stress))
     return varied
 

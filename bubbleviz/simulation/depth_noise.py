@@ -9,7 +9,7 @@ from scipy import ndimage
 from scipy.special import ndtri
 
 from bubbleviz.errors import InputError
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, changed
 from bubbleviz.sensor_model import SensorModel
 
 _MAX_LAG = 32  # frames over which noise may be correlated
@@ -103,8 +103,7 @@ def with_nodes(sensor: Sensor, nodes: int | None) -> Sensor:
     """Sensor with another target number of nodes."""
     if nodes is None:
         return sensor
-    membrane = sensor.membrane.model_copy(update={"nodes": nodes})
-    return sensor.model_copy(update={"membrane": membrane})
+    return changed(sensor, membrane={"nodes": nodes})
 
 
 def strided(sensor: Sensor, stride: int) -> Sensor:
@@ -112,7 +111,7 @@ def strided(sensor: Sensor, stride: int) -> Sensor:
     own = sensor.camera
     size = {name: -(-getattr(own, name) // stride) for name in ("width", "height")}
     intrinsics = {name: getattr(own, name) / stride for name in ("fx", "fy", "cx", "cy")}
-    return sensor.model_copy(update={"camera": own.model_copy(update={**size, **intrinsics})})
+    return changed(sensor, camera={**size, **intrinsics})
 
 
 def resized(sensor: Sensor, width: int, height: int) -> Sensor:
@@ -121,7 +120,7 @@ def resized(sensor: Sensor, width: int, height: int) -> Sensor:
     x, y = width / own.width, height / own.height
     size = {"width": width, "height": height, "fx": own.fx * x, "fy": own.fy * y}
     middle = {"cx": (own.cx + 0.5) * x - 0.5, "cy": (own.cy + 0.5) * y - 0.5}
-    return sensor.model_copy(update={"camera": own.model_copy(update={**size, **middle})})
+    return changed(sensor, camera={**size, **middle})
 
 
 def with_pixels(sensor: Sensor, pixels: int | None) -> Sensor:
@@ -137,6 +136,5 @@ def with_noise(model: SensorModel, noise: DepthNoise) -> SensorModel:
     """Sensor model that assumes the given noise."""
     distance = float(np.median(np.linalg.norm(model.mesh.nodes - model.camera.center, axis=1)))
     relative = max(float(np.hypot(noise.relative, noise.absolute_m / distance)), 1e-5)
-    camera = model.sensor.camera.model_copy(update={"noise_relative": relative})
-    sensor = model.sensor.model_copy(update={"camera": camera})
+    sensor = changed(model.sensor, camera={"noise_relative": relative})
     return SensorModel(sensor, model.camera, model.mesh, model.pixels)

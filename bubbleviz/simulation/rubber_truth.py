@@ -26,7 +26,7 @@ from bubbleviz.membrane import (
     refinement,
 )
 from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import Pneumatics, Sensor
+from bubbleviz.sensor import Pneumatics, Sensor, changed
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.synthetic_source import simulation_mesh
 
@@ -190,5 +190,4 @@ def rubber_sensor(sensor: Sensor) -> Sensor:
     """The sensor with a pre-stretch, by default 1.2."""
     if sensor.membrane.prestretch is not None:
         return sensor
-    membrane = sensor.membrane.model_copy(update={"prestretch": PRESTRETCH})
-    return sensor.model_copy(update={"membrane": membrane})
+    return changed(sensor, membrane={"prestretch": PRESTRETCH})

@@ -295,13 +295,12 @@ def default_press(
     rate_hz: float = 30.0,
     nodes: int | None = None,  # target number of nodes of the simulation's mesh
     noise: DepthNoise | None = None,  # None: that of the sensor's camera
+    object_name: str = "two_legged_toy",
 ) -> SyntheticSource:
     """Press of the built-in live sensor: approach, press, move and turn, withdraw."""
     noise = noise or DepthNoise(relative=sensor.camera.noise_relative)
-    obj = load_object("two_legged_toy")
-    height, width = dome_size(sensor)
-    poses = default_path(height, width, frames)
-    return SyntheticSource(sensor, obj, poses, noise, rate_hz, nodes=nodes)
+    poses = default_path(*dome_size(sensor), frames)
+    return SyntheticSource(sensor, load_object(object_name), poses, noise, rate_hz, nodes=nodes)
 
 
 def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:

@@ -110,8 +110,10 @@ class PoseMetrics:
         surface = (J.T * (self._precision.per_area * areas[facing])) @ J
         return TrueContact(T, center, max(radius, MIN_RADIUS_M), directions(surface, radius))
 
-    def errors(self, T_B_O: np.ndarray, true: TrueContact) -> PoseErrors:
+    def errors(self, T_B_O: np.ndarray | None, true: TrueContact) -> PoseErrors:
         """Errors of a pose (4, 4), relative to the closest symmetric equivalent of the true one."""
+        if T_B_O is None:
+            return PoseErrors()
         candidates = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self.symmetries]
         arm = np.array([1.0, 1.0, 1.0, *3 * [true.radius_m]])
         found = true.directions
@@ -176,14 +178,14 @@ class Row:
     object_name: str
     depth_m: float
     status: str
-    determined: int = 0
-    seen: int = 0
-    error_m: float = np.inf
-    error_rad: float = np.inf
-    seen_m: float = np.inf
-    seen_rad: float = np.inf
-    first_ms: float = np.nan
-    next_ms: float = np.nan
+    determined: int
+    seen: int
+    error_m: float
+    error_rad: float
+    seen_m: float
+    seen_rad: float
+    first_ms: float
+    next_ms: float
 
 
 def pose_study(sensor: Sensor, grid: Grid) -> Study:
@@ -253,7 +255,9 @@ class _Bench:
             result = self._pipeline.process(Frame(k, k / 30.0, depth), frozenset({"pose"}))
             times.append(result.times_ms.get("pose", np.nan))
         pose = result.pose
-        row = Row(
+        found = pose.T_B_O if pose is not None and pose.status == "ok" else None
+        errors, in_image = (self._metrics.errors(found, each) for each in (true, observed))
+        return Row(
             simulated.press.object_name,
             simulated.press.depth_m,
             "none" if pose is None else pose.status,
@@ -261,13 +265,6 @@ class _Bench:
             seen=int(observed.directions.determined.sum()),
             first_ms=times[0],
             next_ms=float(np.median(times[1:])),
-        )
-        if pose is None or pose.status != "ok":
-            return row
-        errors = self._metrics.errors(pose.T_B_O, true)
-        in_image = self._metrics.errors(pose.T_B_O, observed)
-        return replace(
-            row,
             error_m=errors.error_m,
             error_rad=errors.error_rad,
             seen_m=in_image.error_m,

@@ -15,16 +15,12 @@ from bubbleviz.output import iou
 from bubbleviz.processes import PeakMemory
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
-from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import (
     NODE_RATIO,
-    DepthNoise,
     SyntheticSource,
-    default_path,
     default_press,
-    dome_size,
     rubber_sensor,
     with_nodes,
     with_pixels,
@@ -146,9 +142,8 @@ def measure(sensor: Sensor, run: Run) -> list[Row]:
     scaled = with_pixels(sensor, run.pixels)
     if run.sweep == "contact":  # a ball along the path of the moving press
         scaled = rubber_sensor(scaled)
-        ball, path = load_object("sphere"), default_path(*dome_size(scaled), FRAMES)
-        noise = DepthNoise(relative=scaled.camera.noise_relative)
-        source = SyntheticSource(scaled, ball, path, noise, nodes=NODE_RATIO * SOURCE_NODES)
+        nodes = NODE_RATIO * SOURCE_NODES
+        source = default_press(scaled, FRAMES, nodes=nodes, object_name="sphere")
     else:
         source = default_press(with_nodes(scaled, SOURCE_NODES), FRAMES)
     order = _frames_of(run, len(source))

@@ -17,7 +17,7 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import write_ply
 from bubbleviz.inverse import RUBBER, EstimatorOptions
 from bubbleviz.membrane import MembraneMesh, mesh_cap, spherical_cap
-from bubbleviz.pipeline import Pipeline, Product
+from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.result import TRUSTED, Result
 from bubbleviz.rigid_object import RigidObject
@@ -31,22 +31,18 @@ from bubbleviz.simulation import (
     touching_height,
 )
 from bubbleviz.study import harness
+from bubbleviz.study.accuracy import PRODUCTS
 from bubbleviz.study.harness import Band, Report, Study, forward_faults, inverse_faults
 from bubbleviz.wording import counted
 
 # A stability case makes a sensor and frames, estimates, and checks the result.
 
 
-PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 TYPICAL_RANGE_M = 0.15  # from camera to dome
 PICO_FLEXX = DepthNoise(relative=0.01)
 
 Alter = Callable[[np.ndarray], np.ndarray]
 Must = Literal["solve", "refuse", "either"]
-
-
-class RefusedError(Exception):
-    """The estimate has a status that declares it untrusted."""
 
 
 class FailedError(Exception):
@@ -57,8 +53,7 @@ class FailedError(Exception):
 class Case:
     """One case, whose `run` returns a description of the result.
 
-    Raises `FailedError` for a wrong result; `RefusedError`, InputError or SolveError if the input
-    is refused.
+    Raises `FailedError` for a wrong result; InputError or SolveError if the input is refused.
     """
 
     name: str
@@ -109,7 +104,7 @@ class Trial:
             faults = inverse_faults(pipeline, result, known, self.band, measured)
             raise_faults([f"frame {k}: {fault}" for fault in faults])
         if refusals:
-            raise RefusedError(refusals[0])
+            raise SolveError(refusals[0])
         return _description(result, known)
 
     @property
@@ -177,7 +172,7 @@ def attempt(case: Case) -> tuple[Verdict, str]:
         detail = case.run()
     except FailedError as error:
         return "failed", str(error)
-    except (RefusedError, InputError, SolveError) as error:
+    except (InputError, SolveError) as error:
         verdict, detail = "refused", str(error) or type(error).__name__
     if case.must == "solve" and verdict == "refused":
         return "failed", f"refused, but must be solved: {detail}"

@@ -8,13 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, SolveError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes import WorkerProcess
 from bubbleviz.study.stability import (
     Case,
     FailedError,
-    RefusedError,
     Trial,
     all_cases,
     attempt,
@@ -138,7 +137,7 @@ def test_a_pipeline_that_remembers_too_much_fails():
 
 
 def refuse():
-    raise RefusedError("status no_data")
+    raise SolveError("status no_data")
 
 
 def bad_input():
