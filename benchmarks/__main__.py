@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from bubbleviz.cli.command_line import OneLineErrors
-from bubbleviz.cli.study_commands import report_options, seed_option, sensor_option
-from bubbleviz.files import SYNTHETIC_SENSOR, to_json
+from bubbleviz.cli.study_commands import command_of, seed_option
+from bubbleviz.files import SYNTHETIC_SENSOR
 
 if TYPE_CHECKING:
     from bubbleviz.sensor import Sensor
@@ -25,25 +24,7 @@ def benchmarks() -> None:
 
 
 def _command(make: Callable[..., list[Study]]) -> None:
-    """Make a command of a function, with options for its parameters."""
-    wanted = signature(make).parameters
-
-    def measure(out: Path | None, as_json: bool, sensor: str = "", **given: Any) -> None:
-        from bubbleviz.sensor import load_sensor
-
-        if sensor:
-            given["sensor"] = load_sensor(sensor)
-        if "parts" in wanted:  # of an interrupted run, which is resumed
-            given["parts"] = out and out / "parts"
-        reports = {study.name: study.run(out) for study in make(**given)}
-        if as_json:
-            click.echo(to_json({name: report.to_dict() for name, report in reports.items()}))
-        else:
-            click.echo("\n\n".join(report.to_text() for report in reports.values()))
-
-    for name, option in (("sensor", sensor_option), ("seed", seed_option)):
-        measure = option(measure) if name in wanted else measure
-    benchmarks.command(make.__name__, help=make.__doc__)(report_options(measure))
+    command_of(make, benchmarks, "parts")
 
 
 @_command
