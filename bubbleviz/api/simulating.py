@@ -161,6 +161,8 @@ def simulate(
     >>> press.truth(0).force_n
     array([...])
     """
+    if frames < 1:
+        raise InputError(f"--frames {frames}: give 1 or more")
     noise = DepthNoise(
         relative=noise_relative,
         absolute_m=noise_sigma_m,

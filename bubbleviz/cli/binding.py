@@ -1,6 +1,9 @@
 """Commands bound to functions of the library, whose signature and docstring have the options.
 
-Both are read from the source: importing a function for its `--help` would take a second.
+Both are read from the source: importing a function for its `--help` would take a second. The kind
+of a parameter in the docstring is the type of its option: `bool` a flag, `path` (not `str or path`)
+a file, `{"a", "b"}` a choice, `iterable of …` an option that may be given repeatedly, under its
+singular name; the unit at the end of a name is left out.
 """
 
 from __future__ import annotations
