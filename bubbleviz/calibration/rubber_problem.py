@@ -41,6 +41,7 @@ from bubbleviz.membrane import (
     cotangent_laplacian,
     mean_curvature,
     prestressed,
+    settled,
 )
 from bubbleviz.recordings import (
     SIGNIFICANT,
@@ -78,9 +79,6 @@ _MAX_EVALUATIONS = 60
 _PRESSURE_STEP = 10.0
 """Contact pressure over the gauge pressure in the trust region's norm: the first step, from no
 contact to some hundred nodes of up to a few gauge pressures, is then taken whole."""
-_NEWTON_STEPS, _EQUILIBRIUM = 30, 1e-6
-"""Most steps to equilibrium, and its largest residual over the load on a node of mean area."""
-_SLOW = 0.3  # ratio of residuals from which a new factor takes less time than more steps; chosen
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
 T = TypeVar("T")
@@ -195,7 +193,7 @@ class RubberProblem:
         moved, out = membrane.mesh.nodes - self._mesh.nodes, []
         for pressure, last in zip(self._pressures(vector), self._initial, strict=True):
             x, factor = (self._mesh.nodes, None) if last is None else (last[0].nodes_m, last[1])
-            equilibrium = self._equilibrium(membrane, pressure, x + moved, factor)
+            equilibrium = settled(membrane, self._factoriser, pressure, x + moved, factor)
             if equilibrium is None:
                 return None
             x, factor = equilibrium
@@ -226,39 +224,6 @@ class RubberProblem:
         """Gas pressures of the shapes minus that at rest, corrected by their errors."""
         off = self._pressure_sigma_pa * vector[self._errors]
         return [rise + error - off[0] for rise, error in zip(self.rises_pa, off[1:], strict=True)]
-
-    def _equilibrium(
-        self,
-        membrane: RubberMembrane,
-        pressure: float | np.ndarray,
-        x: np.ndarray,
-        factor: Factor | None,  # of the tangent close to x
-    ) -> tuple[np.ndarray, Factor] | None:
-        """Stable equilibrium by Newton's method, with steps of at most a mesh edge.
-
-        The tangent is factorised again at the end, and where a step gains less than it costs.
-        """
-        mesh, moving, before = membrane.mesh, membrane.moving, np.inf
-        for _ in range(_NEWTON_STEPS):
-            residual = membrane.residual(x, pressure)[moving].ravel()
-            largest = float(np.abs(residual).max())
-            found = largest < _EQUILIBRIUM * mesh.areas.mean()
-            if factor is None or found or largest > _SLOW * before:
-                try:
-                    factor = self._factoriser.factor(membrane.tangent(x, pressure).data)
-                except RuntimeError:  # singular
-                    return None
-            motion = np.zeros_like(x)
-            motion[moving] = -factor.solve(residual).reshape(-1, 3)
-            longest = float(np.abs(motion).max())
-            if not np.isfinite(longest):
-                return None
-            x = x + min(1.0, mesh.edge_length / max(longest, 1e-300)) * motion
-            if found:
-                stable = np.ndim(pressure) > 0 or factor.negative_directions() == 0
-                return (x, factor) if stable else None
-            before = largest
-        return None
 
     def _differentiated(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the changes by the unknowns (S·B, N), and by the stress at rest (S·B,)."""

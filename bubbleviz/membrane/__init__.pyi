@@ -12,6 +12,10 @@ from .gas import (
     Gas as Gas,
     HeldPressure as HeldPressure,
 )
+from .inflation import (
+    Inflation as Inflation,
+    settled as settled,
+)
 from .mesh import (
     MembraneMesh as MembraneMesh,
     adjacency as adjacency,
@@ -62,7 +66,6 @@ from .rubber import (
 )
 from .rubber_forward import (
     MOST_FRICTION as MOST_FRICTION,
-    Inflation as Inflation,
     RubberForward as RubberForward,
     checked_friction as checked_friction,
 )

@@ -143,13 +143,9 @@ class Equilibrium:
         self,
         membrane: RubberMembrane,
         gas: Gas | HeldPressure,  # of the reference configuration
-        # (n, 3), additional forces f_rest at the nodes; by default those that make the reference
-        # surface an equilibrium, 0 for a membrane whose mesh is not one
-        rest_force_n: np.ndarray | None = None,
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
         self.friction = 0.0  # Coulomb's μ
-        self._rest_force = membrane.rest_force if rest_force_n is None else rest_force_n
         self.reach_m = 2.0 * self.mesh.edge_length
         self._rest_volume = membrane.volume(self.mesh.nodes)
         rest = membrane.tangent(self.mesh.nodes, 0.0)
@@ -173,7 +169,7 @@ class Equilibrium:
         """Energy of membrane and gas, J, up to a constant; its gradient is the residual."""
         membrane, moving = self.membrane, self.membrane.moving
         growth = membrane.volume(x) - self._rest_volume
-        rest = np.sum(self._rest_force[moving] * x[moving])
+        rest = np.sum(membrane.rest_force[moving] * x[moving])
         gas = self.gas.energy(growth) - membrane.gauge_pressure_pa * growth
         return membrane.energy(x) + gas - float(rest)
 
@@ -181,16 +177,9 @@ class Equilibrium:
         """Factorised tangent of the membrane under the gas's pressure, without the gas law."""
         return self._factoriser.factor(self.membrane.tangent(x, self.gas_at(x)[0]).data)
 
-    def _residual(self, x: np.ndarray, pressure: float) -> np.ndarray:
-        """External force needed for equilibrium, (n, 3), N."""
-        residual = self.membrane.residual(x, pressure)
-        if self._rest_force is not self.membrane.rest_force:
-            residual += self.membrane.rest_force - self._rest_force
-        return residual
-
     # -- states ---------------------------------------------------------------------------------
 
-    def evaluate(self, surface: ObjectSurface | None, state: State) -> Evaluated:
+    def evaluate(self, surface: ObjectSurface, state: State) -> Evaluated:
         """Contact constraints and residuals of a state."""
         x, moving = state.x, self.membrane.moving
         planes, law, off = self._planes(surface, state), None, 0.0
@@ -205,7 +194,7 @@ class Equilibrium:
         pressure, _ = self.gas_at(x)
         if not np.isfinite(pressure):
             return Evaluated(state, planes, law, np.inf, np.inf)
-        residual = (self._residual(x, pressure) - push)[moving]
+        residual = (self.membrane.residual(x, pressure) - push)[moving]
         scale = max(abs(pressure) * float(self.mesh.areas.max()), float(state.load[moving].max()))
         gap = planes.gap[moving]
         inside = np.where(state.load[moving] > 0.0, np.abs(gap), np.maximum(-gap, 0.0))
@@ -217,9 +206,7 @@ class Equilibrium:
         lowest = float((surface.obj.vertices @ pose[2, :3]).min() + pose[2, 3])
         return max(float(self.mesh.nodes[:, 2].max()) - lowest, 0.0)
 
-    def _planes(self, surface: ObjectSurface | None, state: State) -> Planes:
-        if surface is None:
-            return Planes.nowhere(len(state.x))
+    def _planes(self, surface: ObjectSurface, state: State) -> Planes:
         outward = self.membrane.volume_gradient(state.x)
         outward /= np.linalg.norm(outward, axis=1, keepdims=True)
         planes = surface.planes(state.x, outward, state.pose, self.reach_m)
@@ -244,7 +231,7 @@ class Equilibrium:
 
     # -- Newton's method ------------------------------------------------------------------------
 
-    def solve(self, surface: ObjectSurface | None, start: State) -> Solved:
+    def solve(self, surface: ObjectSurface, start: State) -> Solved:
         """Newton's method from a state, at its pose; the state with the smallest residual."""
         here = best = self.evaluate(surface, start)
         penalty, since, count, newton = 0.0, 0, 0, None
@@ -272,8 +259,6 @@ class Equilibrium:
                 penalty = max(penalty, 2.0 * float(step.load.max(initial=0.0)))
                 following = self._line_search(surface, here, step, newton.residual, penalty)
             count, here = count + newton.factorisations, following
-            if surface is None and not newton.is_minimum():
-                break
         if not best.accepted:  # loads that turn with fine fillets would look unstable
             newton = self._step(best, turning=False)
         stable = not best.is_equilibrium or (newton or self._step(best)).is_minimum()
@@ -284,7 +269,7 @@ class Equilibrium:
         membrane, moving, state = self.membrane, self.membrane.moving, at.state
         (pressure, beta), load = self.gas_at(state.x), state.load[moving]
         planes, law, grip = at.planes.of(moving), at.law, None
-        residual = self._residual(state.x, pressure)
+        residual = membrane.residual(state.x, pressure)
         data = membrane.tangent(state.x, pressure).data
         touching = np.flatnonzero(load > 0.0)
         if turning:
@@ -315,7 +300,7 @@ class Equilibrium:
         return replace(state, x=x, load=load, pull=pull)
 
     def _shortened(
-        self, surface: ObjectSurface | None, here: Evaluated, step: Step, *, always: bool
+        self, surface: ObjectSurface, here: Evaluated, step: Step, *, always: bool
     ) -> Evaluated:
         """State after a step with friction, shortened to the smallest residual if necessary."""
         longest = max(float(np.abs(step.motion).max()), 1e-300)
@@ -332,7 +317,7 @@ class Equilibrium:
 
     def _line_search(
         self,
-        surface: ObjectSurface | None,
+        surface: ObjectSurface,
         here: Evaluated,
         step: Step,
         residual: np.ndarray,

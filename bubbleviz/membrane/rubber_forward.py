@@ -1,4 +1,4 @@
-"""Exact membranes inflated, pressed by rigid objects, dragged and twisted by them."""
+"""Exact membranes pressed by rigid objects, dragged and twisted by them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from bubbleviz.errors import InputError, SolveError
+from bubbleviz.errors import InputError
 from bubbleviz.membrane.equilibrium import Equilibrium, RubberContact, Solved, State
 from bubbleviz.membrane.forward_model import ForwardModel, checked_pose
-from bubbleviz.membrane.gas import Gas, HeldPressure
+from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber import RubberMembrane
 from bubbleviz.rigid_object import RigidObject
@@ -21,7 +21,6 @@ _MIN_APPROACH = 0.02  # least step of the object over `reach_m` before a press c
 _STEP, _MIN_STEP = 0.25, 1.0 / 64.0
 """Motion of the object between two equilibria with friction in mesh edges, and the least share of
 it before the equilibrium counts as failed."""
-_MIN_PRESSURE_STEP = 0.005  # least step over the target pressure before it counts as failed
 
 
 class RubberForward:
@@ -201,60 +200,3 @@ def _anchored(state: State) -> State:
     anchors = np.where(np.isfinite(state.anchors), state.anchors, fresh)
     anchors[~(state.load > 0.0)] = np.nan
     return replace(state, anchors=anchors)
-
-
-class Inflation:
-    """Equilibria of a membrane without contact under given pressures."""
-
-    def __init__(
-        self,
-        membrane: RubberMembrane,
-        rest_force_n: np.ndarray | None = None,  # (n, 3), as of `Equilibrium`
-    ) -> None:
-        self.membrane = membrane
-        self._equilibrium = Equilibrium(membrane, HeldPressure(0.0), rest_force_n)
-
-    def at(self, pressure_pa: float, near: np.ndarray | None = None) -> np.ndarray:
-        """Nodes (n, 3) in m under a gauge pressure.
-
-        Solved from `near`, or else from the reference surface in steps of pressure that are
-        shortened on failure.
-
-        Raises SolveError: no stable equilibrium: the pressure is beyond the membrane's limit.
-        """
-        found = None if near is None else self._solve(pressure_pa, near)
-        if found is not None:
-            return found
-        x, now = self.membrane.mesh.nodes, self.membrane.gauge_pressure_pa
-        remaining = step = pressure_pa - now
-        while abs(step) >= _MIN_PRESSURE_STEP * abs(pressure_pa) or step == remaining:
-            found = self._solve(now + step, x)
-            if found is None:
-                step *= 0.5
-                continue
-            x, now = found, now + step
-            if step == remaining:
-                return x
-            remaining = step = pressure_pa - now
-        raise SolveError(
-            f"membrane: no equilibrium at a gauge pressure of {pressure_pa:.4g} Pa; lower it, or "
-            "correct tension and prestretch in the sensor file"
-        )
-
-    def motions(self, x: np.ndarray, pressure_pa: float, forces_n: np.ndarray) -> np.ndarray:
-        """Motions (k, n, 3) in m from an equilibrium under further small forces (k, n, 3)."""
-        moving = self.membrane.moving
-        right = forces_n[:, moving].reshape(len(forces_n), -1).T
-        solved = self._under(pressure_pa).factor(x).solve(np.ascontiguousarray(right))
-        out = np.zeros_like(forces_n)
-        out[:, moving] = solved.T.reshape(len(forces_n), -1, 3)
-        return out
-
-    def _solve(self, pressure_pa: float, x: np.ndarray) -> np.ndarray | None:
-        start = State.free(x, np.zeros(len(x)), np.eye(4))
-        solved = self._under(pressure_pa).solve(None, start)
-        return solved.at.state.x if solved.accepted else None
-
-    def _under(self, pressure_pa: float) -> Equilibrium:
-        change = pressure_pa - self.membrane.gauge_pressure_pa
-        return self._equilibrium.varied(gas=HeldPressure(change))
