@@ -1,16 +1,18 @@
 """Least-squares problem for pre-stretch and gauge pressure, from inflation levels or a press.
 
-The rest surface S0 and its gauge pressure G determine the stress at rest by statics, and q = λ⁻⁶ =
-1 − γ0/μh determines the rubber. When the gas pressure changes by a measured Δp, the shape depends
-on q, on (G + Δp)/G, and in a press on the contact pressures. The unknowns are q, G, the contact
-pressures of the nodes in the dent (an inflation level has none), and the errors of the gas
-pressures. The residuals are the changes of range from rest, in which fixed errors of camera and
-mesh cancel, the difference from the G of the sensor file or open chamber, and the pressure errors,
+The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except for
+what an oval rim leaves open: the stress lies between that of a film and that of an initially flat
+sheet, at a share from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber. When the gas pressure
+changes by a measured Δp, the shape depends on q, on (G + Δp)/G, on that share, and in a press on
+the contact pressures. The unknowns are q, G, the share, the contact pressures of the nodes in the
+dent (an inflation level has none), and the errors of the gas pressures. The residuals are the
+changes of range from rest, in which fixed errors of camera and mesh cancel, the difference from the
+G of the sensor file or open chamber, that of the share from its middle, and the pressure errors,
 each over its standard deviation.
 
-The noise of a hundred thousand pixels averages out, and would outweigh the known G, but model
-errors do not. So the range residuals are tempered: their weight is divided by the ratio of the
-variance of G with model errors to that by noise alone.
+The noise of a hundred thousand pixels averages out, and would outweigh the prior knowledge, but
+model errors do not. So the range residuals are tempered: their weight is divided by the ratio of
+the variance of G with model errors to that by noise alone.
 """
 
 from __future__ import annotations
@@ -60,7 +62,10 @@ _INITIAL_Q = (0.35, 0.7, 0.05)
 """λ of 1.19; then 1.06 and 1.65 where the shapes have no equilibrium, or the fit runs to constant
 tension, as it may where the gauge pressure is far too low."""
 _MIN_GAUGE = 0.1  # over the initial gauge pressure
-_STEP_OF_Q = 1e-3  # relative step of q for the derivative of the forces
+_SHARE, _SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
+"""Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
+_MATERIAL = 3  # unknowns before the contact pressures: q, G over the initial one, share
+_STEP = 1e-3  # of q, relative, and of the share, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
 _PRESSURE_ERROR = 0.01
 """Standard deviation of gas pressure differences between recordings, over their largest gauge
@@ -82,17 +87,23 @@ contact to some hundred nodes of up to a few gauge pressures, is then taken whol
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
 T = TypeVar("T")
-Rubber = Callable[[float], RubberMembrane]
-"""The membrane as a function of q, under a gauge pressure of 1 Pa."""
+Rubber = Callable[[float, float], RubberMembrane]
+"""The membrane as a function of q and of the share, under a gauge pressure of 1 Pa."""
 
 
 def _rest_rubber(
     mesh: MembraneMesh,
     slack_m: float | None,  # as in `RubberMembrane`
-    stress: np.ndarray,  # at rest, as of `Prestress.on`
+    # stress at rest of a film, as of `Prestress.on`, and that of an initially flat sheet less it
+    film: np.ndarray,
+    open_stress: np.ndarray,
 ) -> Rubber:
     tension = 1.0 / mean_curvature(mesh)  # γ0, m
-    return lambda q: prestressed(mesh, 1.0, tension / (1.0 - q), stress, slack_m)
+
+    def rubber(q: float, share: float) -> RubberMembrane:
+        return prestressed(mesh, 1.0, tension / (1.0 - q), film + share * open_stress, slack_m)
+
+    return rubber
 
 
 def _film_stress(mesh: MembraneMesh, degree: int = STRESS_DEGREE) -> np.ndarray:
@@ -105,7 +116,7 @@ Shape = tuple[ShapeRanges, Factor]
 
 
 class RubberProblem:
-    """Least squares in q, G over the initial one, contact pressures over G, and pressure errors.
+    """Least squares in q, G over the initial one, share, contact pressures over G, pressure errors.
 
     The latter are the errors of the gas pressures of rest and shapes, in standard deviations.
 
@@ -130,12 +141,10 @@ class RubberProblem:
         self._stress_sigma = found.material.of_shape.sigma / found.material.of_shape.value
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
-        # On an oval rim statics leaves the stress open: it lies anywhere between that of a film and
-        # that of an initially flat sheet. The middle is fitted.
         film, sheet = _film_stress(mesh), self._surfaces.as_flat_sheet
-        self._half_open = np.zeros_like(film) if sheet is None else 0.5 * (sheet[0] - film)
-        self._stress = film + self._half_open
-        self._rubber = lru_cache(maxsize=2)(_rest_rubber(mesh, self._slack_m, self._stress))
+        self._open_stress = np.zeros_like(film) if sheet is None else sheet[0] - film
+        rubber = _rest_rubber(mesh, self._slack_m, film, self._open_stress)
+        self._rubber = lru_cache(maxsize=3)(rubber)
         self._shapes, self._pressed = shapes, pressed
         pressures = np.array([_mean_pressure(each) for each in (rest, *shapes)])
         self.rises_pa = tuple((pressures[1:, 0] - pressures[0, 0]).tolist())
@@ -152,7 +161,7 @@ class RubberProblem:
                 _dent_nodes(observer, change, precision, each.source_name)
                 for change, precision, each in zip(self._change_m, weight, shapes, strict=True)
             ]
-        ends = 2 + np.cumsum([0, *map(len, self._zones)])
+        ends = _MATERIAL + np.cumsum([0, *map(len, self._zones)])
         self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(shapes))
         self._size = self._errors.stop
@@ -160,14 +169,14 @@ class RubberProblem:
             level_sigma_pa = _PRESSURE_ERROR * (gauge_pa + max(0.0, *self.rises_pa))
         self._pressure_sigma_pa = np.hypot(pressures[:, 1], 0.0 if pressed else level_sigma_pa)
         # residuals that penalise rough contact pressures
-        self._smooth = np.zeros((self._errors.start - 2, self._size))
+        self._smooth = np.zeros((self._errors.start - _MATERIAL, self._size))
         laplacian = cotangent_laplacian(mesh).tocsr()
         for zone, place in zip(self._zones, self._places, strict=True):
             if len(zone):
                 root = np.linalg.cholesky(laplacian[zone][:, zone].toarray()).T
-                self._smooth[place.start - 2 : place.stop - 2, place] = root / PRESSURE_SCALE
+                self._smooth[place.start - _MATERIAL :][: len(zone), place] = root / PRESSURE_SCALE
         self._start_from_rest()
-        tangent = self._rubber(_INITIAL_Q[0]).tangent(mesh.nodes, 1.0)
+        tangent = self._rubber(_INITIAL_Q[0], _SHARE).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
         # shapes, None where the rubber has no equilibrium, and slopes of the last vector
         self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
@@ -184,7 +193,7 @@ class RubberProblem:
     # -- model ----------------------------------------------------------------------------------
 
     def _solved(self, vector: np.ndarray) -> list[Shape] | None:
-        found = self._predicted(vector, self._rubber(float(vector[0])))
+        found = self._predicted(vector, self._rubber(*vector[[0, 2]].tolist()))
         if found is not None:
             self._initial = found
         return found
@@ -227,9 +236,14 @@ class RubberProblem:
 
     def _differentiated(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the changes by the unknowns (S·B, N), and by the stress at rest (S·B,)."""
-        found, q = self._shapes_at(vector), float(vector[0])
+        found, (q, _, share) = self._shapes_at(vector), vector[:_MATERIAL].tolist()
         assert found is not None
-        rubber, rubber_after_step = self._rubber(q), self._rubber((1.0 + _STEP_OF_Q) * q)
+        rubber = self._rubber(q, share)
+        # after a step of each, and the step
+        stepped = (
+            (self._rubber(q + _STEP * q, share), _STEP * q),
+            (self._rubber(q, share + _STEP), _STEP),
+        )
         rest_force, slopes, by_stress = rubber.force(rubber.mesh.nodes), [], []
         gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
         error, moving = np.arange(self._size)[self._errors], rubber.moving
@@ -238,21 +252,22 @@ class RubberProblem:
         ):
             x = view.nodes_m
             area = rubber.volume_gradient(x)
-            by_q = rubber.residual(x, pressure) - rubber_after_step.residual(x, pressure)
-            forces = np.zeros((*x.shape, 3 + len(zone)))
+            residual = rubber.residual(x, pressure)
+            forces = np.zeros((*x.shape, 4 + len(zone)))
             forces[..., 0] = rest_force - rubber.force(x)
-            forces[..., 1] = by_q / (_STEP_OF_Q * q)
-            forces[..., 2] = area / gauge_pa
-            forces[zone, :, 3 + np.arange(len(zone))] = -area[zone]
+            for j, (other, step) in enumerate(stepped, start=1):
+                forces[..., j] = (residual - other.residual(x, pressure)) / step
+            forces[..., 3] = area / gauge_pa
+            forces[zone, :, 4 + np.arange(len(zone))] = -area[zone]
             motions = np.zeros_like(forces)
             right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
             motions[moving] = factor.solve(right).reshape(len(moving), 3, -1)
             rows = np.zeros((self._observer.blocks, motions.shape[2]))
             rows[view.block] = view.jacobian @ motions.reshape(3 * len(x), -1)
             of_shape = np.zeros((len(rows), self._size))
-            by_rise = rows[:, 2]  # per pascal
-            of_shape[:, 0], of_shape[:, 1] = rows[:, 1], -rises_pa[k] / vector[1] * by_rise
-            of_shape[:, place] = rows[:, 3:]
+            by_rise = rows[:, 3]  # per pascal
+            of_shape[:, [0, 2]], of_shape[:, 1] = rows[:, 1:3], -rises_pa[k] / vector[1] * by_rise
+            of_shape[:, place] = rows[:, 4:]
             of_shape[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
             of_shape[:, error[1 + k]] = self._pressure_sigma_pa[1 + k] * by_rise
             slopes.append(of_shape)
@@ -275,27 +290,29 @@ class RubberProblem:
         (2, 2, 2), and the robust rms of the residuals of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
-        alone = self._alone()
-        covariance, temper = self._covariance(alone, np.inf, 1.0)
+        alone, temper = self._alone()
+        covariance = self._covariance(alone, np.inf, temper)[0]
         vector = self._minimise(alone, self._scale(alone), gauge_sigma, temper)
         both = np.stack([alone[:2], vector[:2]])
         covariances = np.stack([covariance, self._covariance(vector, gauge_sigma, temper)[0]])
         return both, covariances, robust_sigma(self._residuals(vector), center=0.0)
 
-    def _alone(self) -> np.ndarray:
-        vector: np.ndarray | None = None
+    def _alone(self) -> tuple[np.ndarray, float]:
+        """Fit without a prior on G, and the tempering."""
+        found: tuple[np.ndarray, float] | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
-            start[:2] = q, 1.0
+            start[:_MATERIAL] = q, 1.0, _SHARE
             self._start_from_rest()
             if self._shapes_at(start) is None:
                 continue
             vector = self._minimise(start, None, np.inf, 1.0)
-            vector = self._minimise(vector, self._scale(vector), np.inf, 1.0)
-            if vector[0] > 1.01 * SMALLEST_Q:
+            temper = self._covariance(vector, np.inf, 1.0)[1]
+            found = self._minimise(vector, self._scale(vector), np.inf, temper), temper
+            if found[0][0] > 1.01 * SMALLEST_Q:
                 break
-        if vector is not None:
-            return vector
+        if found is not None:
+            return found
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape at rest explains the shapes in"
             f" {', '.join(each.source_name for each in self._shapes)}; check the"
@@ -303,11 +320,11 @@ class RubberProblem:
         )
 
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and right sides of the priors on G and on the errors of the gas pressures."""
-        rows = np.zeros((1 + len(self._pressure_sigma_pa), self._size))
-        rows[0, 1] = 1.0 / gauge_sigma
-        rows[1:, self._errors] = np.eye(len(rows) - 1)
-        return rows, rows[:, 1]
+        """Rows and right sides of the priors on G, the share, and errors of the gas pressures."""
+        rows = np.zeros((2 + len(self._pressure_sigma_pa), self._size))
+        rows[0, 1], rows[1, 2] = 1.0 / gauge_sigma, 1.0 / _SHARE_SIGMA
+        rows[2:, self._errors] = np.eye(len(rows) - 2)
+        return rows, rows[:, 1] + _SHARE * rows[:, 2]
 
     def _scale(self, vector: np.ndarray) -> float:
         return max(robust_sigma(self._residuals(vector) * self._root, center=0.0), 1e-9)
@@ -353,8 +370,8 @@ class RubberProblem:
         start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
-        x_scale[:2] = 0.1
-        x_scale[2 : self._errors.start] = _PRESSURE_STEP
+        x_scale[:_MATERIAL] = 0.1, 0.1, _SHARE_SIGMA
+        x_scale[_MATERIAL : self._errors.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
             loss=loss, xtol=tolerance, ftol=tolerance,  # type: ignore[arg-type]  # loss's name in stubs
@@ -394,11 +411,11 @@ class RubberProblem:
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
             np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
         ]
-        for rubber, at_rest_m, share in self._other_rubbers:
-            other = self._predicted(vector, rubber(float(vector[0])))
+        for rubber, at_rest_m in self._other_rubbers:
+            other = self._predicted(vector, rubber(*vector[[0, 2]].tolist()))
             if other is not None:
                 change = self._changes(other, at_rest_m).ravel() - change_m
-                errors.append(-share * influence.T @ np.nan_to_num(change + residuals))
+                errors.append(-influence.T @ np.nan_to_num(change + residuals))
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
         for part in self._divisions:
@@ -420,20 +437,16 @@ class RubberProblem:
         return [np.concatenate(each) for each in zip(*map(divide, self._change_m), strict=True)]
 
     @cached_property
-    def _other_rubbers(self) -> list[tuple[Rubber, float | np.ndarray, float]]:
-        """Rubber to estimate model errors, ranges of its surface, and rms share of its difference.
-
-        That is the share of its difference from the fitted rubber that is an error.
-        """
+    def _other_rubbers(self) -> list[tuple[Rubber, float | np.ndarray]]:
+        """Rubber to estimate model errors, and ranges of its surface."""
         # Stress at rest follows from curvature. On simulated round sheets and domes a fitted cap
         # moves G by −2 %, and the free form by +2 and −4 % (by 0 without noise).
-        mesh, half, other = self._mesh, self._half_open, self._surfaces.other_mesh
-        at_rest_m, uniform = self._observer.around(other.nodes).model_m, 1.0 / np.sqrt(3.0)
-        rubber = partial(_rest_rubber, slack_m=self._slack_m)
+        mesh, other = self._mesh, self._surfaces.other_mesh
+        at_rest_m = self._observer.around(other.nodes).model_m
+        rubber = partial(_rest_rubber, slack_m=self._slack_m, open_stress=self._open_stress)
         return [
-            (rubber(mesh, stress=_film_stress(mesh, STRESS_DEGREE - 2) + half), 0.0, 1.0),
-            (rubber(other, stress=_film_stress(other) + half), at_rest_m, 1.0),
-            (rubber(mesh, stress=self._stress + half), 0.0, uniform),
+            (rubber(mesh, film=_film_stress(mesh, STRESS_DEGREE - 2)), 0.0),
+            (rubber(other, film=_film_stress(other)), at_rest_m),
         ]
 
     @cached_property
