@@ -138,3 +138,12 @@ def without_garbage_collection() -> Iterator[None]:
         gc.freeze()
         if enabled:
             gc.enable()
+
+
+@contextmanager
+def quick_imports() -> Iterator[None]:
+    """Import modules as `without_garbage_collection`, and without parts of NumPy."""
+    for part in ("f2py", "testing"):  # SciPy imports all of NumPy
+        import_without("numpy", part)
+    with without_garbage_collection():
+        yield

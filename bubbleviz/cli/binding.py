@@ -22,6 +22,7 @@ import click
 
 import bubbleviz as bv
 from bubbleviz.files import MAX_COLOUR_DELAY_S
+from bubbleviz.lazy_imports import quick_imports
 from bubbleviz.wording import encodable
 
 if TYPE_CHECKING:
@@ -219,7 +220,10 @@ def run_on_frames(
 
     for path in filter(None, (options.get("out"), options.get("csv"))):
         refuse_existing(path, overwrite=options["overwrite"])
-    with bv.open(recording, frames, depth_topic=depth_topic, wrench_topic=wrench) as chosen:
+    with quick_imports():
+        getattr(bv, verb)
+        source = bv.open(recording, frames, depth_topic=depth_topic, wrench_topic=wrench)
+    with source as chosen:
         run(verb, chosen, **options)
 
 

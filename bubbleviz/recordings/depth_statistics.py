@@ -82,13 +82,16 @@ def spatial_correlation(
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns."""
     reach = min(_REACH_PX, min(sigma.shape) // 2)
+    rows, columns = (slice(None, None, max(1, size // _LINES)) for size in sigma.shape)
 
     def products(image: np.ndarray) -> np.ndarray:
-        noise = _standardised(image, sigma)
-        used = np.isfinite(noise)
-        noise = np.where(used, noise, np.float32(0.0))
-        both = noise, used.astype(np.float32)
-        return np.array([sum(_lagged_products(each, k, reach) for k in (0, 1)) for each in both])
+        total = np.zeros((2, reach + 1))
+        for axis, lines in enumerate(((slice(None), columns), (rows, slice(None)))):
+            noise = _standardised(image[lines], sigma[lines])
+            used = np.isfinite(noise)
+            both = np.where(used, noise, np.float32(0.0)), used.astype(np.float32)
+            total += [_lagged_products(each, axis, reach) for each in both]
+        return total
 
     with ThreadPoolExecutor(_THREADS) as threads:
         product, pairs = np.sum(list(threads.map(products, deviations[::stride])), axis=0)
@@ -177,7 +180,8 @@ LAG = 5  # frames; longer than the memory of the camera's temporal filter
 MIN_FRAMES = 5  # fewest frames for a median and a spread of each pixel
 
 _CLIP_SIGMA = 3.0  # samples further from the median are outliers
-_IMAGES = 20  # for the spatial correlation: neighbours in time are redundant
+_IMAGES, _LINES = 20, 240
+"""For the spatial correlation, and rows or columns of each: neighbours are redundant."""
 _PART = 2**12  # pixels treated at a time, so that their samples fit the processor's cache
 
 

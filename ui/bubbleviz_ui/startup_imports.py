@@ -10,15 +10,14 @@ from bubbleviz.lazy_imports import (
     hide_package,
     import_later,
     import_without,
+    quick_imports,
     without_garbage_collection,
 )
 
 
 def import_the_backend() -> None:
     """Import what checks a recording before the window opens."""
-    for part in ("f2py", "testing"):  # SciPy imports all of NumPy
-        import_without("numpy", part)
-    with without_garbage_collection():
+    with quick_imports():
         import bubbleviz.recordings.sensor_matching  # noqa: F401
 
 
