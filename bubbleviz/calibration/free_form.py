@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.camera import DepthCamera, MembraneView, RayCaster
-from bubbleviz.membrane import MembraneMesh, cotangent_laplacian, symmetric_lu
+from bubbleviz.membrane import MembraneMesh, balance_gradient, cotangent_laplacian, symmetric_lu
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
 
@@ -33,7 +33,7 @@ _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A free-form surface, its residuals, and the last linear system of the fit."""
+    """A free-form surface, its residuals, and the influence of pixels on its γ0 and height."""
 
     mesh: MembraneMesh  # the corrected surface in B
     left_out_rms_m: float  # robust rms error of predicted ranges in tiles left out of the fit, m
@@ -42,27 +42,11 @@ class FreeForm:
     # (H, W), measured minus predicted range of each pixel, by a fit without its tile, m; NaN: none
     left_out_m: np.ndarray
     pixels: np.ndarray  # (P,) int, flat indices of the pixels fitted
-    # (P, n) sparse, derivative of their ranges by motion of the nodes along their lines
-    D: sparse.csr_array
-    weights: np.ndarray  # (P,)
-    matrix: sparse.csc_array  # (n, n) sparse, normal matrix with the prior
-    # mean weight over mean slope of the robust loss: factor by which the matrix of weights
-    # overstates the curvature of the loss
-    efficiency: float
-
-    def influence(
-        self,
-        # (n, Q), derivative of each quantity by motion of each node along its line, unit/m
-        gradients: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivative of quantities by each pixel's range, (P, Q), unit/m, and their variances (Q,).
-
-        These are by the posterior, per variance of a pixel: Bayesian intervals of a smoothing
-        spline (Wahba 1983) include the rim and hidden parts, which the prior alone determines.
-        """
-        adjoint = symmetric_lu(self.matrix).solve(np.ascontiguousarray(gradients))
-        by_pixel = self.efficiency * self.weights[:, None] * (self.D @ adjoint)
-        return by_pixel, np.einsum("nq,nq->q", gradients, adjoint)
+    # (P, 2), derivative of γ0 under 1 Pa (m) and of the apex's height by each of their ranges
+    influence: np.ndarray
+    # of γ0 under 1 Pa by the posterior, per variance of a pixel: Bayesian intervals of a smoothing
+    # spline (Wahba 1983) include the rim and hidden parts, which the prior alone determines
+    tension_variance: float
 
 
 def fit_free_form(
@@ -103,24 +87,37 @@ def fit_free_form(
             place = _best(errors, place, 2 - k)
             left_out_rms, left_out_image[hits.ray] = errors(place)
         weighted = D.multiply(weights[:, None]).tocsr()
-        matrix = (weighted.T @ D + prior * (unit * _SMOOTHING[place])).tocsc()
-        correction = symmetric_lu(matrix).solve(weighted.T @ target)
+        normal = symmetric_lu((weighted.T @ D + prior * (unit * _SMOOTHING[place])).tocsc())
+        correction = normal.solve(weighted.T @ target)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
+    gradients = _gradients(mesh)
+    adjoint = normal.solve(gradients)
     return FreeForm(
         mesh=mesh,
         left_out_rms_m=left_out_rms,
         residual_m=range_m - MembraneView(camera, mesh).rest_range,
         left_out_m=left_out_image.reshape(range_m.shape),
         pixels=hits.ray,
-        D=D,
-        weights=weights,
-        matrix=matrix,
-        efficiency=_efficiency(about, sigma),
+        influence=_efficiency(about, sigma) * weights[:, None] * (D @ adjoint),
+        tension_variance=float(gradients[:, 0] @ adjoint[:, 0]),
     )
 
 
+def _gradients(mesh: MembraneMesh) -> np.ndarray:
+    """Derivative of γ0 under 1 Pa (m) and of the apex's height by motion of the nodes, (n, 2).
+
+    Motion is along the line from the centre of the rim plane.
+    """
+    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
+    apex, gradients = int(np.argmax(mesh.nodes[:, 2])), np.zeros((len(mesh.nodes), 2))
+    gradients[:, 0] = balance_gradient(mesh, 1.0, arms)
+    gradients[apex, 1] = arms[apex, 2]
+    return gradients
+
+
 def _efficiency(residuals: np.ndarray, sigma: float) -> float:
+    """Factor by which the matrix of weights overstates the curvature of the robust loss."""
     slope = float(tukey_slopes(residuals, sigma).mean())
     return float(tukey_weights(residuals, sigma).mean()) / slope if slope > 0.0 else 1.0
 

@@ -10,14 +10,11 @@ import numpy as np
 
 from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration.free_form import FreeForm
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.surface import SurfaceName, Surfaces
 from bubbleviz.camera import facet_error
-from bubbleviz.membrane import (
-    balance_gradient,
-    balance_tension,
-    least_squares_tension,
-)
+from bubbleviz.membrane import balance_tension, least_squares_tension
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.result import HALF_95
@@ -153,23 +150,24 @@ def estimate_tension(
 
     Raises InputError: no tension balances the surface.
     """
-    linear, variance = _linear_free_form(surfaces)
-    if surfaces.chosen != "free-form":
+    free_form, stride = surfaces.free_form, surfaces.stride
+    if surfaces.chosen == "free-form":
+        linear = _linear_free_form(free_form)
+    else:
         linear = _linear_cap(samples, surfaces)
-    stride = surfaces.stride
     now, (tiles, frames) = linear[0], _errors(samples, linear, stride, progress)
     sphere, cap, gas = surfaces.sphere, surfaces.cap, samples.gas_pressure_pa
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * float(sphere.semi_axes_m[0]),
         "ellipsoid": _cap_numbers(cap)(cap)["tension_m"],
-        "free-form": balance_tension(surfaces.free_form.mesh, 1.0),
+        "free-form": balance_tension(free_form.mesh, 1.0),
     }
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     # fitted pixels that count as one
     together = max(1.0, samples.statistics.correlated_pixels / stride**2)
     shape = [
-        surfaces.free_form.left_out_rms_m * float(np.sqrt(max(variance, 0.0) * together)),
+        free_form.left_out_rms_m * np.sqrt(max(free_form.tension_variance, 0.0) * together),
         by_surface["free-form"] - by_surface[other],
     ]
     if surfaces.chosen != "free-form":
@@ -243,23 +241,14 @@ def _linear_cap(samples: FrameSamples, surfaces: Surfaces) -> Linear:
     return numbers(own), pixels, influence, distance / facing, rows.shape[1]
 
 
-def _linear_free_form(surfaces: Surfaces) -> tuple[Linear, float]:
-    """With the variance of γ0 under 1 Pa per variance of a pixel."""
-    free_form, mesh = surfaces.free_form, surfaces.free_form.mesh
-    arms = mesh.nodes / np.linalg.norm(mesh.nodes, axis=1, keepdims=True)
-    apex = int(np.argmax(mesh.nodes[:, 2]))
-    gradients = np.zeros((len(mesh.nodes), 2))
-    gradients[:, 0] = balance_gradient(mesh, 1.0, arms)
-    gradients[apex, 1] = arms[apex, 2]
-    pixels = free_form.pixels
-    influence, variances = free_form.influence(gradients)
-    influence[np.isnan(free_form.residual_m.ravel()[pixels])] = 0.0
+def _linear_free_form(free_form: FreeForm) -> Linear:
+    residual_m = free_form.residual_m.ravel()[free_form.pixels]
+    influence = np.where(np.isnan(residual_m)[:, None], 0.0, free_form.influence)
     now = {
-        "tension_m": balance_tension(mesh, 1.0),
-        "height_m": float(mesh.nodes[apex, 2]),
+        "tension_m": balance_tension(free_form.mesh, 1.0),
+        "height_m": float(free_form.mesh.nodes[:, 2].max()),
     }
-    residual_m = np.nan_to_num(free_form.residual_m.ravel()[pixels])
-    return (now, pixels, influence, residual_m, 2), float(variances[0])
+    return now, free_form.pixels, influence, np.nan_to_num(residual_m), 2
 
 
 def _upper_half(samples: FrameSamples, surfaces: Surfaces) -> float:
