@@ -31,6 +31,15 @@ class Measured(DentSource):
         return replace(super().__getitem__(index), wrench=wrench, gas_pressure_pa=gas)
 
 
+class Noisy(Measured):
+    """The same with noise of 0.3 N on the wrench."""
+
+    def __getitem__(self, index):
+        frame = super().__getitem__(index)
+        noise = np.random.default_rng(index).normal(0.0, 0.3, 6)
+        return replace(frame, wrench=frame.wrench + noise)
+
+
 def analyse(driver):
     """Show the force plot and analyse all frames."""
     driver.show("plots")
@@ -46,7 +55,8 @@ def heading(driver):
 
 
 def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(drive):
-    driver = drive(Measured, sensor=small_sensor(prestretch=1.3), frame=PRESSED)
+    sensor = small_sensor(prestretch=1.3)
+    driver = drive(Measured, sensor=sensor, frame=PRESSED)
     estimate = driver.result.estimate
     force = np.linalg.norm(estimate.force_n)
     along = estimate.force_n / force
@@ -100,22 +110,10 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     assert abs(float(a["force"].text().split()[0]) - force) < max(half, 0.02 * force)
     assert "±" in a["force"].text() and "±" in b["force"].text()
     assert b["force"].text().endswith(" N") and b["status"].text() == "ok"
-
-
-class Noisy(Measured):
-    """The same with noise of 0.3 N on the wrench."""
-
-    def __getitem__(self, index):
-        frame = super().__getitem__(index)
-        noise = np.random.default_rng(index).normal(0.0, 0.3, 6)
-        return replace(frame, wrench=frame.wrench + noise)
-
-
-def test_measured_force_does_not_depend_on_the_frames_computed(drive):
-    """Known although no contact-free frame was computed, as after a restart."""
-    sensor = small_sensor(prestretch=1.3)
-    driver = drive(Noisy, sensor=sensor, frame=PRESSED)
-    driver.show("plots")
+    # the measured force does not depend on the frames computed: it is known before any is
+    driver.window.panels["compare"].hide()
+    window.plots.boxes["wrench"].trigger()
+    driver.show_source(Noisy, sensor, frame=PRESSED)
     wrench = lambda: re.search(r"wrench ([\d.]+)", heading(driver))  # noqa: E731
     driver.wait(lambda: bool(driver.window.plots.plots) and wrench() is not None)
     forces = np.array([Noisy(sensor)[k].wrench[:3] for k in range(FRAMES)])
@@ -159,7 +157,9 @@ def test_during_playback_every_number_drawn_is_of_one_frame(drive):
         assert len(set(frames)) == 1 and len(set(forces)) == 1, (frames, forces)
 
 
-def test_the_force_of_an_object_at_rest_says_how_many_images_it_is_of(drive, sensor, tmp_path):
+def test_mean_image_gas_zero_and_contradicted_sensor_file_of_a_recording_are_reported(
+    drive, sensor, tmp_path
+):
     dent, random = DentSource(sensor)[PRESSED], np.random.default_rng(0)
     noise = 3e-4 * random.standard_normal((9, *dent.depth_m.shape), dtype=np.float32)
     held = (
@@ -170,6 +170,32 @@ def test_the_force_of_an_object_at_rest_says_how_many_images_it_is_of(drive, sen
     tip = driver.window.status.labels["force"].toolTip()
     assert driver.result.frame.images > 5
     assert f"from the mean of {driver.result.frame.images} depth images" in tip
+    # a zero of the gas pressure is reported
+    gas, message = driver.window.status.labels["gas"], driver.window.message
+    for shift_pa in (20.0, 1200.0):
+        gas_pa = sensor.pneumatics.reference_pressure_pa + shift_pa
+        frames = (
+            replace(frame, gas_pressure_pa=gas_pa + 100.0 * (frame.index >= FIRST_CONTACT))
+            for frame in DentSource(sensor)
+        )
+        path = record(tmp_path / f"{shift_pa:.0f}.mcap", frames)
+        driver.open("dent", lambda _, path=path: Recording(path), sensor, frame=PRESSED)
+        done = f"gas pressure zero: {shift_pa:+.0f} Pa from "
+        driver.wait(lambda done=done: done in gas.toolTip())
+        driver.state.set_playing(False)
+        driver.seek(PRESSED)
+        assert (message.isVisible() and done in message.label.text()) == (shift_pa > 50.0)
+        driver.wait(lambda: gas.text() == "p_v +100 Pa")  # of the contact only
+        driver.window.controller.opening.close_source()
+        driver.wait(lambda: driver.state.facts.is_empty)
+        assert "zero" not in gas.toolTip()
+    # and depth that contradicts the sensor file
+    still = DentSource(sensor)[0]
+    depth = (still.depth_m + 1e-3).astype(np.float32)
+    frames = (replace(still, index=k, time_s=k / 30.0, depth_m=depth) for k in range(FRAMES))
+    record(tmp_path / "rest.mcap", frames)
+    driver.open("rest", lambda _: Recording(tmp_path / "rest.mcap"), sensor, playing=False)
+    driver.wait_for_message("does not fit the depth without contact")
 
 
 def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
@@ -205,34 +231,3 @@ def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
     driver.key(Qt.Key.Key_PageDown, ALT)
     assert driver.state.frame == PRESSED
     assert "No further frame that is not trusted" in window.notice.label.text()
-
-
-def test_zero_correction_of_a_recording_is_reported(drive, sensor, tmp_path):
-    driver = drive(frame=3)
-    gas, message = driver.window.status.labels["gas"], driver.window.message
-    for shift_pa in (20.0, 1200.0):
-        gas_pa = sensor.pneumatics.reference_pressure_pa + shift_pa
-        frames = (
-            replace(frame, gas_pressure_pa=gas_pa + 100.0 * (frame.index >= FIRST_CONTACT))
-            for frame in DentSource(sensor)
-        )
-        path = record(tmp_path / f"{shift_pa:.0f}.mcap", frames)
-        driver.open("dent", lambda _, path=path: Recording(path), sensor, frame=PRESSED)
-        done = f"gas pressure zero: {shift_pa:+.0f} Pa from "
-        driver.wait(lambda done=done: done in gas.toolTip())
-        driver.state.set_playing(False)
-        driver.seek(PRESSED)
-        assert (message.isVisible() and done in message.label.text()) == (shift_pa > 50.0)
-        driver.wait(lambda: gas.text() == "p_v +100 Pa")  # of the contact only
-        driver.window.controller.opening.close_source()
-        driver.wait(lambda: driver.state.facts.is_empty)
-        assert "zero" not in gas.toolTip()
-
-
-def test_depth_that_contradicts_the_sensor_file_is_reported(drive, tmp_path):
-    sensor, still = small_sensor(), DentSource(small_sensor())[0]
-    depth = (still.depth_m + 1e-3).astype(np.float32)
-    frames = (replace(still, index=k, time_s=k / 30.0, depth_m=depth) for k in range(FRAMES))
-    record(tmp_path / "rest.mcap", frames)
-    driver = drive(lambda _: Recording(tmp_path / "rest.mcap"), sensor=sensor)
-    driver.wait_for_message("does not fit the depth without contact")

@@ -24,13 +24,14 @@ from window_driver import CONTACT, clipped_labels, text_actors, turn_wheel
 import bubbleviz
 from bubbleviz.sensor import Membrane
 from bubbleviz_ui.model.demand import STAGES
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.text import left_of_bars
 
 
-def test_contact_is_drawn_at_its_place_for_each_threshold_and_solver(drive):
+def test_contact_and_layers_are_drawn_for_each_threshold_and_solver(drive):
     driver = drive(frame=CONTACT)
     warm = driver.pressure_pixels()
     assert len(warm) > 200
@@ -59,20 +60,8 @@ def test_contact_is_drawn_at_its_place_for_each_threshold_and_solver(drive):
     patch = driver.result.patch
     assert panel.threshold.text() == f"{patch.threshold_pa / 1e3:.2f} kPa"
     assert driver.pipeline.counts["estimate"] == solved
-    # another solver reopens at the same frame
-    panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
-    panel.solver.setFocus()
-    driver.bot.keyClicks(panel.solver, "fast")
-    assert driver.state.settings.solver == "fast"
-    driver.wait(lambda: driver.pipeline.options.nodes == 400)
-    driver.wait(lambda: driver.result is not None)
-    assert driver.state.frame == CONTACT
-    assert len(driver.pipeline.mesh.nodes) != nodes
-    assert driver.result.patch.area_m2 > 0.0
-
-
-def test_each_layer_draws_something_and_can_be_hidden(drive):
-    driver = drive(frame=CONTACT)
+    # each layer draws something and can be hidden
+    driver.choose(kappa=None)
     boxes = driver.window.layers.boxes
     driver.click(boxes["contour"])
     for shown in (False, True):
@@ -112,6 +101,17 @@ def test_each_layer_draws_something_and_can_be_hidden(drive):
     assert np.all(driver.pixels() == patch_colour, axis=2).sum() > 20
     driver.choose(cloud_colour="plain")
     assert not np.all(driver.pixels() == patch_colour, axis=2).any()
+    # another solver reopens at the same frame
+    driver.choose(layers=Settings().layers, kappa=None)
+    panel, nodes = driver.window.kappa, len(driver.pipeline.mesh.nodes)
+    panel.solver.setFocus()
+    driver.bot.keyClicks(panel.solver, "fast")
+    assert driver.state.settings.solver == "fast"
+    driver.wait(lambda: driver.pipeline.options.nodes == 400)
+    driver.wait(lambda: driver.result is not None)
+    assert driver.state.frame == CONTACT
+    assert len(driver.pipeline.mesh.nodes) != nodes
+    assert driver.result.patch.area_m2 > 0.0
 
 
 def test_playback_keys_and_button_and_about_dialog(drive):
@@ -156,7 +156,7 @@ def test_playback_keys_and_button_and_about_dialog(drive):
     window.close()  # stops everything
 
 
-def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
+def test_numbers_have_units_and_room_and_every_control_has_a_tooltip(drive):
     driver = drive(frame=CONTACT)
     driver.window.show_rates()
     labels = driver.window.status.labels
@@ -193,6 +193,17 @@ def test_every_number_has_a_unit_and_every_control_a_tooltip(drive):
     assert not [text for text in texts if bare.search(text)]
     for name in ("force", "area", "gas", "residual"):
         assert "Eq." in TIPS[name] or "V-C" in TIPS[name]
+    # numbers of another frame lay out nothing unless they need more room
+    driver.resize(1024, 700)
+    driver.wait_until_shown()
+    status, requests = driver.window.status, LayoutRequests()
+    status.installEventFilter(requests)
+    text = status.labels["force"].text()
+    for frame in range(CONTACT + 1, CONTACT + 5):
+        driver.seek(frame)
+    assert status.labels["force"].text() != text and requests.count == 0
+    status.labels["force"].setText("8" * 40)
+    driver.wait(lambda: requests.count > 0 and not clipped_labels(status))
 
 
 def test_new_source_keeps_camera_and_settings_and_is_shown_whole(drive, sensor):
@@ -231,7 +242,7 @@ def turn_view(driver):
     driver.drag(view, middle, middle + QPoint(60, 25))
 
 
-def test_error_of_opening_is_shown_until_another_file_opens(drive, tmp_path, press):
+def test_errors_of_files_and_frames_are_shown_until_another_file_opens(drive, tmp_path, press):
     driver = drive(frame=CONTACT)
     title, message = driver.window.windowTitle(), driver.window.message
     (tmp_path / "broken.mcap").write_bytes(b"not a recording")
@@ -264,10 +275,9 @@ def test_error_of_opening_is_shown_until_another_file_opens(drive, tmp_path, pre
     driver.window.open_file(cut)
     driver.wait(lambda: message.kind.text() == "Warning")
     assert "ends early" in message.label.text() and not message.more.isVisible()
-
-
-def test_unreadable_or_failing_frame_gives_a_message_and_stops_playback(drive):
-    driver = drive(lambda sensor: DentSource(sensor, broken_from=3), playing=True)
+    # an unreadable frame stops playback
+    broken_file = lambda sensor: DentSource(sensor, broken_from=3)  # noqa: E731
+    driver.open("broken", broken_file, driver.window.controller.sensor, playing=True)
     driver.wait_for_message("damaged")
     assert not driver.state.playing
     driver.seek(2)
@@ -284,7 +294,7 @@ def test_unreadable_or_failing_frame_gives_a_message_and_stops_playback(drive):
     assert "Traceback" in QApplication.clipboard().text()
 
 
-def test_window_force_and_panels_fit_a_small_screen(drive):
+def test_window_force_readout_and_panels_fit_a_small_screen(drive):
     driver = drive(DentSource, frame=6)
     labels = driver.window.status.labels
     driver.window.resize(1016, 660)
@@ -335,6 +345,22 @@ def test_window_force_and_panels_fit_a_small_screen(drive):
     driver.wait(lambda: seen(window.compare) > 50)
     driver.resize(1200, 700)
     driver.wait(lambda: window.playback.width() < window.width() - 200)
+    # the readout leaves most of a low view free
+    for name in ("compare", "calibration"):
+        window.panels[name].hide()
+    driver.state.set_range(None)
+    driver.resize_to_smallest()
+    driver.show("plots", "pose")
+    driver.wait_until_shown()
+    window.messages.add("warning", 20 * "long message ")
+    driver.wait(lambda: window.view.height() < 180)
+    driver.wait_until_shown()
+    headline, *others = text_actors(driver)
+    assert headline.GetInput().startswith("contact")
+    assert text_bottom(driver, headline) < 0.4 * window.view.height()
+    assert not any(text.GetInput().startswith("peak") for text in others)
+    driver.click(window.message.dismiss)
+    driver.wait(lambda: any(t.GetInput().startswith("peak") for t in text_actors(driver)))
 
 
 def seen(widget):
@@ -388,23 +414,6 @@ def right_end(driver, text):
     return text.GetPositionCoordinate().GetComputedViewportValue(renderer)[0] + box[1]
 
 
-def test_readout_leaves_most_of_a_low_view_free(drive):
-    driver = drive(frame=CONTACT)
-    window = driver.window
-    driver.resize_to_smallest()
-    driver.show("plots", "pose")
-    driver.wait_until_shown()
-    window.messages.add("warning", 20 * "long message ")
-    driver.wait(lambda: window.view.height() < 180)
-    driver.wait_until_shown()
-    headline, *others = text_actors(driver)
-    assert headline.GetInput().startswith("contact")
-    assert text_bottom(driver, headline) < 0.4 * window.view.height()
-    assert not any(text.GetInput().startswith("peak") for text in others)
-    driver.click(window.message.dismiss)
-    driver.wait(lambda: any(t.GetInput().startswith("peak") for t in text_actors(driver)))
-
-
 def text_bottom(driver, text):
     """Distance of the lower end of a text of the 3-D view from the top, pixels."""
     box, renderer = [0.0] * 4, driver.window.view.renderer
@@ -431,15 +440,3 @@ class LayoutRequests(QObject):
     def eventFilter(self, _, event):
         self.count += event.type() == QEvent.Type.LayoutRequest
         return False
-
-
-def test_numbers_of_a_frame_lay_out_nothing_unless_they_need_more_room(drive):
-    driver = drive(frame=CONTACT)
-    status, requests = driver.window.status, LayoutRequests()
-    status.installEventFilter(requests)
-    text = status.labels["force"].text()
-    for frame in range(CONTACT + 1, CONTACT + 5):
-        driver.seek(frame)
-    assert status.labels["force"].text() != text and requests.count == 0
-    status.labels["force"].setText("8" * 40)
-    driver.wait(lambda: requests.count > 0 and not clipped_labels(status))

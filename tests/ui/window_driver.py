@@ -211,6 +211,14 @@ class Driver:
         source = opener if isinstance(opener, Source) else Source(title, opener, live=live)
         self.window.controller.opening.open(source, lambda: sensor, **at)
 
+    def show_source(self, opener, sensor=None, **at):
+        """Open another source in the same window, paused; wait until it is shown."""
+        client = self.window.controller.client
+        former = client.session
+        self.open("another", opener, sensor or self.window.controller.sensor, playing=False, **at)
+        self.wait(lambda: client.session is not former)
+        self.wait_until_shown()
+
     def resize(self, width, height):
         self.window.resize(width, height)
         self.wait(lambda: self.size == (width, height))
