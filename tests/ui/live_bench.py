@@ -6,7 +6,7 @@ from typing import Any
 
 from fakes import DentSource, record, small_sensor
 from mcap.reader import make_reader
-from window_driver import Driver
+from window_driver import PATIENCE_MS, Driver
 
 from bubbleviz.live import SensorPlace, SessionPreset
 from bubbleviz.sensor import sensor_to_toml
@@ -74,8 +74,9 @@ class Bench(Driver):
 
     def connect(self, preset):
         """Connect and wait for pictures of frames that come live."""
-        self.live_controller.connect_to(preset)
-        self.wait_for_frames()
+        with self.bot.waitSignal(self.window.controller.opened, timeout=PATIENCE_MS):
+            self.live_controller.connect_to(preset)
+        self.wait(lambda: self.shown_frame >= 3)
 
     def wait_for_frames(self, frames=3):
         """Wait until so many more frames were shown."""

@@ -40,7 +40,7 @@ def words(live, name):
     return str(live.window.images.cells[name].text).replace("<br>", "").replace(" ", "")
 
 
-def test_colour_is_subscribed_only_while_shown(open_bench):
+def test_colour_is_subscribed_only_while_shown_and_awaited(open_bench):
     """First the image, then the scene Shear, then neither."""
     pytest.importorskip("cv2")
     live = open_bench()
@@ -62,16 +62,13 @@ def test_colour_is_subscribed_only_while_shown(open_bench):
     live.wait(lambda: f"{COLLECTED - LAG} images without contact" in reference.text())
     live.wait(lambda: live.result.texture.colour.rgb is not None)
     live.wait(lambda: live.result.flow is not None)
-
-
-def test_messages_while_waiting_for_colour(open_bench):
-    """The first colour image of the recording is a quarter of an hour away."""
-    live, source, late_s = open_bench(), SpeckledSource(RUBBER), 900.0
+    # the first colour image of another one is a quarter of an hour away
+    source, late_s = SpeckledSource(RUBBER), 900.0
     first = replace(source[0], find_colour=None)
     colour = replace(source[1].colour, time_s=late_s)
     frames = [replace(first, index=k, time_s=k / 30.0) for k in range(300)]
     late = replace(first, time_s=late_s, find_colour=lambda _: colour)
-    connected(live, [*frames, late], "speed=0.2")
+    connected(live, [*frames, late], "speed=0.2", "late")
     show_images(live, "colour", "flow")
     live.show("shear")
     said = f"waiting for colour images on {COLOUR}"

@@ -43,26 +43,9 @@ def choose_kind(dialog, kind):
     dialog.kind.setCurrentIndex(dialog.kind.findData(kind))
 
 
-def test_dialog_lists_topics_when_the_robot_appears(open_bench):
-    bench, port = open_bench(), free_port()
-    dialog, place = opened(bench), f"tcp/127.0.0.1:{port}"
-    dialog.place.setEditText("tcp/robot.invalid:9")
-    bench.wait(lambda: "robot.invalid cannot be resolved" in dialog.problem.text())
-    dialog.place.setEditText(place)
-    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
-    with robot(port):
-        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
-        offered = [dialog.topics.item(k).text() for k in range(dialog.topics.count())]
-        assert any(text.startswith("/cam/depth ") for text in offered)
-        assert not any("camera_info" in text or "/gas" in text for text in offered)
-        dialog.topics.setCurrentRow(1)
-        assert dialog.uri == f"zenoh:{place}?depth=/cam/depth" == dialog.source.text()
-        dialog.accept()
-        bench.wait_for_frames(3)
-    assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
-
-
-def test_rejected_certificate_is_reported_in_dialog_and_bar(open_bench, certificates):
+def test_dialog_reports_a_rejected_certificate_lists_topics_and_connects_two_sensors(
+    open_bench, certificates
+):
     bench = open_bench()
     ca, other, cert, key = (
         str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
@@ -82,9 +65,44 @@ def test_rejected_certificate_is_reported_in_dialog_and_bar(open_bench, certific
             dialog.buttons.button(QDialogButtonBox.StandardButton.Ok).click()
             bench.wait(lambda: why in bench.window.live.state.text())
             bench.window.live.leave.click()
+    # topics are listed when the robot appears
+    port = free_port()
+    dialog, place = opened(bench), f"tcp/127.0.0.1:{port}"
+    dialog.place.setEditText("tcp/robot.invalid:9")
+    bench.wait(lambda: "robot.invalid cannot be resolved" in dialog.problem.text())
+    dialog.place.setEditText(place)
+    bench.wait(lambda: f"nothing listens at 127.0.0.1:{port}" in dialog.problem.text())
+    with robot(port):
+        bench.wait(lambda: not dialog.problem.text() and dialog.topics.count() > 1)
+        offered = [dialog.topics.item(k).text() for k in range(dialog.topics.count())]
+        assert any(text.startswith("/cam/depth ") for text in offered)
+        assert not any("camera_info" in text or "/gas" in text for text in offered)
+        dialog.topics.setCurrentRow(1)
+        assert dialog.uri == f"zenoh:{place}?depth=/cam/depth" == dialog.source.text()
+        dialog.accept()
+        bench.wait_for_frames(3)
+    assert bench.run.preset.sensors[0].sensor == sensor_file(bench.folder)
+    # a second source connects two sensors
+    bench.window.live.leave.click()
+    path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
+    dialog = opened(bench, file)
+    choose_kind(dialog, REPLAY)
+    dialog.place.setEditText(str(path))
+    dialog.second.setFocus()
+    bench.bot.keyClicks(dialog.second, "nonsense")
+    dialog.accept()
+    assert dialog.isVisible() and "nonsense" in dialog.problem.text()
+    bench.type(dialog.second, f"replay:{path}?loop=true")
+    bench.wait(lambda: bench.run is not None)
+    bench.wait(lambda: bench.window.pair.second is not None)
+    bench.wait(lambda: bench.window.pair.second.result is not None)
+    assert [button.text() for button in bench.window.live.sensors] == ["● first", "● second"]
+    assert bench.run.preset.sensors[1].sensor == file
+    choose_kind(dialog, PAIR)
+    assert dialog.second.isHidden()
 
 
-def test_source_argument_of_each_kind_and_its_sensor(open_bench, tmp_path, monkeypatch):
+def test_source_argument_and_sensor_of_each_kind_of_source(open_bench, tmp_path, monkeypatch):
     bench = open_bench()
     bench.window.show_connect()
     dialog = bench.window.findChild(ConnectDialog)
@@ -130,39 +148,17 @@ def test_source_argument_of_each_kind_and_its_sensor(open_bench, tmp_path, monke
     dialog.accept()
     bench.wait(lambda: bench.live_controller.run is not None)
     assert bench.run.preset.sensors[0].sensor == file
-
-
-def test_second_source_connects_two_sensors(open_bench):
-    bench = open_bench()
-    path, file = record_dents(bench.folder / "dents.mcap"), sensor_file(bench.folder)
-    dialog = opened(bench, file)
-    choose_kind(dialog, REPLAY)
-    dialog.place.setEditText(str(path))
-    dialog.second.setFocus()
-    bench.bot.keyClicks(dialog.second, "nonsense")
-    dialog.accept()
-    assert dialog.isVisible() and "nonsense" in dialog.problem.text()
-    bench.type(dialog.second, f"replay:{path}?loop=true")
-    bench.wait(lambda: bench.run is not None)
-    bench.wait(lambda: bench.window.pair.second is not None)
-    bench.wait(lambda: bench.window.pair.second.result is not None)
-    assert [button.text() for button in bench.window.live.sensors] == ["● first", "● second"]
-    assert bench.run.preset.sensors[1].sensor == file
-    choose_kind(dialog, PAIR)
-    assert dialog.second.isHidden()
-
-
-def test_the_sensor_of_a_simulation_is_not_proposed_for_a_camera(drive, tmp_path):
-    file = sensor_file(tmp_path)
-    driver = drive(DentSource, sensor=load_sensor(file))
+    # the sensor of a simulation is not proposed for a camera
+    bench.window.live.leave.click()
+    bench.show_source(DentSource, load_sensor(file))
 
     def proposed():
-        driver.trigger("Live › Connect")
-        dialog = driver.window.findChildren(ConnectDialog)[-1]
+        bench.trigger("Live › Connect")
+        dialog = bench.window.findChildren(ConnectDialog)[-1]
         dialog.reject()
         return dialog.sensor.currentData()
 
     assert proposed() == file
-    driver.open("built-in press", DentSource, load_sensor(file), live=True)
-    driver.wait(lambda: driver.state.facts.simulated)
+    bench.open("built-in press", DentSource, load_sensor(file), live=True)
+    bench.wait(lambda: bench.state.facts.simulated)
     assert proposed() == AUTO

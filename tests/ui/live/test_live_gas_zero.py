@@ -25,7 +25,7 @@ def with_gauge(live, gauge_pa):
     live.wait_for_frames(5)
 
 
-def test_gas_zero_is_renewed_on_request_and_adapted_to_another_sensor_file(open_bench):
+def test_gas_zero_is_renewed_on_request_and_compared_with_another_sensor_file(open_bench):
     live = connected_bench(open_bench)
     zero = live.learn_zero(shift_pa=250.0)
     assert "gas zero +250 Pa" in counts(live)
@@ -42,6 +42,17 @@ def test_gas_zero_is_renewed_on_request_and_adapted_to_another_sensor_file(open_
     # else its gauge pressure would appear as contact, or hide it, until zeroed
     with_gauge(live, 3585.5)
     assert "gas zero -750 Pa, waiting for contact-free frames" in counts(live)
+    # a warning if the pressure at rest contradicts the sensor file
+    for gauge_pa, warned in ((5585.5, False), (10585.5, True)):
+        live.learn_zero(103_910.0)
+        with_gauge(live, gauge_pa)
+        with live.bot.waitSignal(live.live_controller.updated):
+            pass
+        assert live.window.message.isVisible() == warned
+        assert (
+            "of 103.9 kPa (absolute) without contact, but 111.9 kPa (atmospheric"
+            in live.message_text
+        ) == warned
 
 
 def test_one_warning_each_of_a_gas_pressure_and_of_images_that_never_change(open_bench):
@@ -64,17 +75,3 @@ def test_one_warning_each_of_a_gas_pressure_and_of_images_that_never_change(open
     live.wait(lambda: warnings(gas) and warnings(images))
     live.wait_for_frames(2 * ZERO_FRAMES)  # the row of equal images grows
     assert (warnings(gas), warnings(images)) == (1, 1)
-
-
-def test_warning_if_gas_pressure_at_rest_contradicts_the_sensor_file(open_bench):
-    live = connected_bench(open_bench)
-    for gauge_pa, warned in ((5585.5, False), (10585.5, True)):
-        live.learn_zero(103_910.0)
-        with_gauge(live, gauge_pa)
-        with live.bot.waitSignal(live.live_controller.updated):
-            pass
-        assert live.window.message.isVisible() == warned
-        assert (
-            "of 103.9 kPa (absolute) without contact, but 111.9 kPa (atmospheric"
-            in live.message_text
-        ) == warned

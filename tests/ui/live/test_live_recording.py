@@ -66,15 +66,7 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
     assert live.state.markers
     with AnyReader([path]) as reader:
         assert {c.msgtype for c in reader.connections} == set(found)
-    # closing the window completes a recording
-    live.record()
-    path = Path(live.status().path)
-    live.window.close()
-    assert len(messages_by_type(path)[IMAGE]) > 1
-
-
-def test_nothing_moves_when_a_recording_begins(open_bench):
-    live = connected_bench(open_bench)
+    # nothing moves when a recording begins
     bar, view, places = live.window.live, live.window.view, []
 
     def place():
@@ -92,6 +84,12 @@ def test_nothing_moves_when_a_recording_begins(open_bench):
             live.record()
     assert "unwritten" in bar.record.progress.text() and bar.record.progress.isVisible()
     assert places[0] == places[1]
+    live.stop()
+    # closing the window completes a recording
+    live.record()
+    path = Path(live.status().path)
+    live.window.close()
+    assert len(messages_by_type(path)[IMAGE]) > 1
 
 
 def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):

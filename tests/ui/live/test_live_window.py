@@ -49,39 +49,34 @@ def test_live_frames_are_shown_frozen_and_resumed(open_bench):
     assert "connect again" in box.message.text()
 
 
-def test_badge_is_connecting_until_the_first_picture(open_bench):
-    live = open_bench()
-    bar, seen, opened = live.window.live, list[str](), list[str]()
-    note = lambda *_: seen.append(bar.state.text() + live.window.windowTitle())  # noqa: E731
-    told = live.live_controller.changed, live.live_controller.updated
+def test_badge_of_each_kind_of_source(open_bench):
+    """In the bar and the window title, for each kind of source and state."""
+    bench = open_bench()
+    bar, seen, opened = bench.window.live, list[str](), list[str]()
+    note = lambda *_: seen.append(bar.state.text() + bench.window.windowTitle())  # noqa: E731
+    told = bench.live_controller.changed, bench.live_controller.updated
     noted = [changed.connect(note) for changed in told]
-    live.window.controller.opened.connect(lambda _: opened.append("opened"))
-    live.window.view.rendering.connect(lambda: seen.append("drawn") if opened else None)
-    live.connect(single("synthetic:?frames=6", sensor_file(live.folder)))
-    live.wait(lambda: "simulated" in bar.state.text())
+    bench.window.controller.opened.connect(lambda _: opened.append("opened"))
+    bench.window.view.rendering.connect(lambda: seen.append("drawn") if opened else None)
+    bench.connect(single("synthetic:?frames=6", sensor_file(bench.folder)))
+    bench.wait(lambda: "simulated" in bar.state.text())
     for changed, connection in zip(told, noted, strict=True):
         changed.disconnect(connection)
     before = seen[: seen.index("drawn")]
     assert any(">&nbsp;connecting&nbsp;<" in text for text in before)
     assert not any(f";{word}&" in text for text in before for word in ("live", "simulated"))
-    assert " (simulated) " in live.window.windowTitle()
-
-
-def test_wait_for_a_simulation_is_explained_as_such(open_bench):
-    live = open_bench()
-    live.live_controller.connect_to(single("synthetic:?frames=600", sensor_file(live.folder)))
-    text = live.window.live.state.text
-    live.wait(lambda: "simulating the first images, " in text() and " of 600" in text())
+    assert " (simulated) " in bench.window.windowTitle()
+    # the wait for a simulation is explained as such
+    bench.click(bar.leave)
+    bench.live_controller.connect_to(single("synthetic:?frames=600", sensor_file(bench.folder)))
+    text = bench.window.live.state.text
+    bench.wait(lambda: "simulating the first images, " in text() and " of 600" in text())
     before = text()
-    live.wait(lambda: " of 600" in text() and text() != before)
-    live.click(live.window.live.leave)
-
-
-def test_badge_of_each_kind_of_source(open_bench):
-    """In the bar and the window title, for each kind of source and state."""
-    bench = open_bench()
-    word, title, bar = bench.window.live.state, bench.window.windowTitle, bench.window.live
-    port, name, seen = free_port(), sensor_file(bench.folder), list[tuple[str, str]]()
+    bench.wait(lambda: " of 600" in text() and text() != before)
+    bench.click(bar.leave)
+    # a robot, which is frozen, stale, and disconnected
+    word, title, changes = bar.state, bench.window.windowTitle, list[tuple[str, str]]()
+    port, name = free_port(), sensor_file(bench.folder)
     with robot(port):
         bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", name))
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text() and " (live) " in title())
@@ -92,10 +87,10 @@ def test_badge_of_each_kind_of_source(open_bench):
         bench.window.playback.go_live.click()
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text())
         changed = bench.state.connection_changed
-        noted = changed.connect(lambda: seen.append((title(), word.text())))
+        noted = changed.connect(lambda: changes.append((title(), word.text())))
     bench.wait(lambda: " (stale) " in title() or " (reconnecting) " in title())
     changed.disconnect(noted)
-    for name_in_title, name_in_bar in seen:
+    for name_in_title, name_in_bar in changes:
         badge = name_in_title.partition(" (")[2].partition(") ")[0]
         assert f">&nbsp;{badge}&nbsp;<" in name_in_bar
     bar.leave.click()
@@ -116,19 +111,15 @@ def check_buttons(window, *bars):
             assert button.visibleRegion().boundingRect().size() == button.size(), button.text()
 
 
-def test_buttons_of_the_live_bar_fit_a_narrow_view(open_bench):
-    """1024×700 pixels at 150 %."""
+def test_window_with_live_bar_fits_a_small_screen(open_bench):
     live = connected_bench(open_bench)
+    # buttons in a narrow view, of 1024×700 pixels at 150 %
     for size in ((800, 500), (675, 427)):
         live.window.resize(*size)
         live.wait_for_frames(1)
     assert live.size == size and live.window.live.width() < 400
     check_buttons(live.window, live.window.live)
-
-
-def test_window_with_live_bar_fits_a_small_screen(open_bench):
-    """At 1024×700 minus the frame, with all panels, a note and all bars open."""
-    live = connected_bench(open_bench)
+    # at 1024×700 minus the frame, with all panels, a note and all bars open
     window, size = live.window, (1016, 660)
     window.resize(*size)
     opened = ("Pose", "Calibration", "Compare", "Sensor", "Threshold", "3-D tools", "Images")
@@ -151,31 +142,6 @@ def test_window_with_live_bar_fits_a_small_screen(open_bench):
     assert window.status.geometry().bottom() < window.height()
 
 
-def test_dropped_frame_gives_a_message_and_a_frozen_one_is_kept(open_bench, monkeypatch):
-    monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.05)
-    live = connected_bench(open_bench)
-    live.wait_for_frames(2)
-    live.state.seek(0)
-    live.wait_for_message("to keep all frames")
-    live.state.freeze(False)
-    live.wait_for_frames(2)
-    live.window.message.hide()
-    monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.0)
-    for _ in range(2):
-        live.wait_for_frames(2)
-        live.key(Qt.Key.Key_F)
-        assert live.state.frozen
-        shown = live.shown_frame
-        live.wait_until_shown()
-        live.show("threshold")  # needs diagnostics of the frozen frame
-        live.window.panels["threshold"].raise_()
-        live.wait(lambda: live.window.controller.inspection.kappa_curve is not None)
-        live.wait_until_shown()
-        assert live.shown_frame == shown == live.state.frame and not live.window.message.isVisible()
-        live.window.panels["threshold"].hide()
-        live.key(Qt.Key.Key_F)
-
-
 def one_frame_everywhere(live):
     """Whether 3-D view, panels and status bar show the same frame."""
     status, force = live.window.status.labels, live.window.kappa.force.text()
@@ -189,7 +155,9 @@ def one_frame_everywhere(live):
     )
 
 
-def test_frozen_view_shows_one_frame_and_missed_frames_are_no_outage(open_bench):
+def test_frozen_view_shows_one_frame_and_missed_or_dropped_frames_are_no_outage(
+    open_bench, monkeypatch
+):
     live = connected_bench(open_bench)
     live.window.playback.freeze.click()
     live.wait(lambda: live.state.frozen)
@@ -212,3 +180,26 @@ def test_frozen_view_shows_one_frame_and_missed_frames_are_no_outage(open_bench)
     live.wait(lambda: "dents.mcap" in live.state.facts.title)
     live.wait(lambda: live.run.session.sensors[0].stream.source.link == "ended")
     live.wait(lambda: view_texts(live)[0].startswith("contact") and one_frame_everywhere(live))
+    # a dropped frame gives a message, and a frozen one is kept
+    live.connect(single(SYNTHETIC, sensor_file(live.folder)))
+    monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.05)
+    live.wait_for_frames(2)
+    live.state.seek(0)
+    live.wait_for_message("to keep all frames")
+    live.state.freeze(False)
+    live.wait_for_frames(2)
+    live.window.message.hide()
+    monkeypatch.setattr(live_frames, "FRAMES_KEPT_S", 0.0)
+    for _ in range(2):
+        live.wait_for_frames(2)
+        live.key(Qt.Key.Key_F)
+        assert live.state.frozen
+        shown = live.shown_frame
+        live.wait_until_shown()
+        live.show("threshold")  # needs diagnostics of the frozen frame
+        live.window.panels["threshold"].raise_()
+        live.wait(lambda: live.window.controller.inspection.kappa_curve is not None)
+        live.wait_until_shown()
+        assert live.shown_frame == shown == live.state.frame and not live.window.message.isVisible()
+        live.window.panels["threshold"].hide()
+        live.key(Qt.Key.Key_F)

@@ -28,9 +28,9 @@ def paired(open_bench):
     return bench
 
 
-def connect_played(bench, frames):
+def connect_played(bench, frames, name="other"):
     """Connect two sensors, the second replaying these frames; only membranes are drawn."""
-    preset, played = sensor_pair_preset(bench.folder), record(bench.folder / "other.mcap", frames)
+    preset, played = sensor_pair_preset(bench.folder), record(bench.folder / f"{name}.mcap", frames)
     second = preset.sensors[1].model_copy(update={"source": f"replay:{played}?loop=true"})
     bench.state.change(layers=frozenset({"membrane"}))
     bench.connect(preset.model_copy(update={"sensors": (preset.sensors[0], second)}))
@@ -68,40 +68,6 @@ def of_the_other(bench):
     return int(np.count_nonzero(away < 12))
 
 
-def test_both_sensors_are_solved_placed_and_fully_visible(open_bench):
-    bench = paired(open_bench)
-    bench.window.resize(1400, 640)
-    bench.window.use_scene(load_scene("review"))
-    bench.state.change(layers=frozenset({"rim", "membrane"}))
-    bench.wait_for_redraw()
-    view = bench.window.view
-    assert view.width() > 2 * view.height()
-    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
-    angle, radius = np.linspace(0.0, 2.0 * np.pi, 60), robot_sensor().membrane.rim_radius_m
-    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.12)], axis=1)
-    for points in (own, rim):
-        assert np.abs(view.projected(points)[:, 1]).max() < 1.0
-    # solved in separate threads and drawn at their poses
-    assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 2
-    before = other(bench)
-    bench.wait_for_frames(3)
-    bench.wait(lambda: other(bench) > before + 2)
-    # The other's dome points at ours from 120 mm away, along our own z. Its rim is the same in
-    # every frame; the force arrow, for one, is longer or shorter.
-    dome = robot_sensor().membrane
-    bench.state.change(layers=frozenset({"rim"}))
-    radius = dome.rim_radius_m
-    expected = [[-radius, radius], [-radius, radius], [0.12, 0.12]]
-    np.testing.assert_allclose(drawn(bench), expected, atol=3e-3)
-    bench.state.change(layers=frozenset({"rim", "membrane"}))
-    bench.wait(lambda: drawn(bench)[2, 0] < 0.12 - 0.5 * dome.height_m)
-    bench.wait_for_redraw()
-    assert of_the_other(bench) > 50
-    bench.window.pair.end()
-    bench.wait_for_redraw()
-    assert of_the_other(bench) == 0
-
-
 @pytest.mark.long
 def test_both_sensors_share_the_time(open_bench):
     bench = paired(open_bench)
@@ -118,7 +84,7 @@ def test_both_sensors_share_the_time(open_bench):
     bench.wait(lambda: other(bench) > newest + 2)
 
 
-def test_both_sensors_pause_at_the_same_time_and_panels_switch(open_bench):
+def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(open_bench):
     """Independent of requests pending before."""
     bench = paired(open_bench)
     frames = bench.run.frames[1]
@@ -156,6 +122,37 @@ def test_both_sensors_pause_at_the_same_time_and_panels_switch(open_bench):
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
     assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 2
+    # placed and fully visible
+    bench.window.resize(1400, 640)
+    bench.window.use_scene(load_scene("review"))
+    bench.state.change(layers=frozenset({"rim", "membrane"}))
+    bench.wait_for_redraw()
+    view = bench.window.view
+    assert view.width() > 2 * view.height()
+    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
+    angle, radius = np.linspace(0.0, 2.0 * np.pi, 60), robot_sensor().membrane.rim_radius_m
+    rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.12)], axis=1)
+    for points in (own, rim):
+        assert np.abs(view.projected(points)[:, 1]).max() < 1.0
+    # solved in separate threads and drawn at their poses
+    assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 2
+    before = other(bench)
+    bench.wait_for_frames(3)
+    bench.wait(lambda: other(bench) > before + 2)
+    # The other's dome points at ours from 120 mm away, along our own z. Its rim is the same in
+    # every frame; the force arrow, for one, is longer or shorter.
+    dome = robot_sensor().membrane
+    bench.state.change(layers=frozenset({"rim"}))
+    radius = dome.rim_radius_m
+    expected = [[-radius, radius], [-radius, radius], [0.12, 0.12]]
+    np.testing.assert_allclose(drawn(bench), expected, atol=3e-3)
+    bench.state.change(layers=frozenset({"rim", "membrane"}))
+    bench.wait(lambda: drawn(bench)[2, 0] < 0.12 - 0.5 * dome.height_m)
+    bench.wait_for_redraw()
+    assert of_the_other(bench) > 50
+    bench.window.pair.end()
+    bench.wait_for_redraw()
+    assert of_the_other(bench) == 0
 
 
 @pytest.mark.long
@@ -199,7 +196,9 @@ def ends_kpa(bench):
     return bar.GetLookupTable().GetRange()[1], own.GetScalarRange()[1], membrane.GetScalarRange()[1]
 
 
-def test_both_sensors_use_the_scale_of_the_colour_bar(open_bench):
+def test_both_sensors_use_the_scale_of_the_colour_bar_and_untrusted_results_their_colour(
+    open_bench,
+):
     """In every picture from the first on, also while one is pressed harder.
 
     And right after the chosen one has another sensor file, while the other stands still.
@@ -231,14 +230,10 @@ def test_both_sensors_use_the_scale_of_the_colour_bar(open_bench):
     bench.wait_for_redraw()
     assert all(len(set(ends)) == 1 for ends in seen), seen
     assert all(peak <= ends[0] for peak, ends in zip(pressed, seen, strict=True))
-
-
-def test_untrusted_result_of_the_other_sensor_is_shown(open_bench):
-    """Its membrane has the untrusted colour, its button shows status and reason."""
-    bench = open_bench()
+    # an untrusted result: the membrane has its colour, the button shows status and reason
     # implausible: 1.5 times the distance
     far = (replace(f, depth_m=np.float32(1.5) * f.depth_m) for f in DentSource(robot_sensor()))
-    connect_played(bench, far)
+    connect_played(bench, far, "far")
     buttons = lambda: [button.text() for button in bench.window.live.sensors]  # noqa: E731
     bench.wait(lambda: buttons() == ["● left", "● right: implausible"])
     assert "do not fit this membrane" in bench.window.live.sensors[1].toolTip() or (
@@ -278,7 +273,7 @@ def shown_pair(bench, frame):
     return bench.result.frame.index, other(bench)
 
 
-def test_two_dropped_recordings_are_two_sensors_at_the_same_time(open_bench):
+def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_bench, monkeypatch):
     bench = open_bench()
     first, second, file = two_recordings(bench.folder)
     bench.open("empty", lambda _: DentSource(robot_sensor()), robot_sensor())
@@ -306,13 +301,7 @@ def test_two_dropped_recordings_are_two_sensors_at_the_same_time(open_bench):
     bench.drop(first)
     bench.wait(lambda: bench.window.pair.second is None)
     assert not drawing(bench).GetVisibility() and not bar.isVisible()
-
-
-def test_two_recordings_are_chosen_in_the_open_dialog(open_bench, monkeypatch):
-    bench = open_bench()
-    first, second, _ = two_recordings(bench.folder)
-    bench.open("empty", lambda _: DentSource(robot_sensor()), robot_sensor())
-    bench.wait(lambda: bench.state.facts is not None)
+    # two recordings chosen in the open dialog
     chosen = [str(first), str(second)]
     monkeypatch.setattr(QFileDialog, "getOpenFileNames", lambda *_, **__: (chosen, ""))
     bench.trigger("File › Open recording")
