@@ -32,10 +32,16 @@ def play_past(driver, frame):
     driver.click(driver.window.playback.play)
 
 
-def test_same_result_after_opening_seeking_stepping_or_playing_to_a_frame(drive):
-    opened = drive(frame=CONTACT)
-    alone = shown(opened)
-    driver = drive(frame=110)
+def opened(driver, press, frame):
+    """Open the press again, which forgets the frames solved before."""
+    driver.show_source(lambda _: press, frame=frame)
+    return shown(driver)
+
+
+def test_result_is_the_same_however_a_frame_is_reached_and_of_the_present_settings(drive, press):
+    driver = drive(frame=CONTACT)
+    alone = shown(driver)
+    opened(driver, press, 110)
     driver.state.seek(CONTACT)
     assert shown(driver) == pytest.approx(alone, rel=0.01)
     driver.seek(CONTACT - 3)
@@ -50,11 +56,34 @@ def test_same_result_after_opening_seeking_stepping_or_playing_to_a_frame(drive)
     driver.state.change(every_frame=True)
     play_past(driver, CONTACT)
     paused = shown(driver)
-    opened.state.seek(driver.state.frame)
-    assert paused == pytest.approx(shown(opened), rel=0.01)
+    again = opened(driver, press, driver.state.frame)
+    assert paused == pytest.approx(again, rel=0.01)
+    # a cold solve uses settings changed meanwhile
+    driver.seek(CONTACT)
+    controller, areas = driver.window.controller, list[float]()
+    driver.state.change(least_area_m2=0.01)
+    driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
+
+    def note(answer, newest):
+        areas.append(answer.result.patch.area_m2)
+
+    controller.client.solved.connect(note)
+    controller.cold_solve()
+    driver.wait(lambda: bool(areas))
+    assert areas == [0.0]
+    controller.client.solved.disconnect(note)
+    # a panel opened during the cold solve gets its diagnostics
+    for frame in (CONTACT - 9, CONTACT - 6):
+        driver.state.seek(frame)
+        controller.cold_solve()
+        driver.show("threshold")
+        driver.wait(lambda: controller.inspection.kappa_curve is not None)
+        solved_from_rest(driver)
+        assert controller.inspection.kappa_curve is not None
+        driver.window.panels["threshold"].hide()
 
 
-def test_a_force_that_the_next_pause_may_change_is_marked(drive):
+def test_a_force_that_the_next_pause_may_change_is_marked_and_its_pose_registered_once(drive):
     driver, marked = drive(frame=CONTACT - 3), []
     controller, label = driver.window.controller, driver.window.status.labels["force"]
 
@@ -72,11 +101,8 @@ def test_a_force_that_the_next_pause_may_change_is_marked(drive):
     solved_from_rest(driver)
     controller.shown.disconnect(note)
     assert len(marked) > 3 and all(marked) and not any("≈" in text for text in texts())
-
-
-def test_pose_of_a_paused_frame_is_registered_once(drive):
-    """Also if images, which are skipped during playback, are due."""
-    driver = drive(frame=CONTACT - 3)
+    # its pose is registered once, also if images, which are skipped during playback, are due
+    driver.seek(CONTACT + 20)
     driver.show("pose", "images")
     driver.choose(every_frame=True, pose_object="sphere", pose_track=True)
     client, found = driver.window.controller.client, Counter[int]()
@@ -86,36 +112,12 @@ def test_pose_of_a_paused_frame_is_registered_once(drive):
             found[answer.result.frame.index] += 1
 
     client.solved.connect(note)
-    play_past(driver, CONTACT)
+    play_past(driver, CONTACT + 23)
     solved_from_rest(driver)
     assert client.demand.images and not client.images_outdated
     assert driver.result.pose is not None
     assert found[driver.state.frame] == 1
-
-
-def test_cold_solve_uses_settings_changed_meanwhile(drive):
-    driver = drive(frame=CONTACT)
-    controller, areas = driver.window.controller, list[float]()
-    driver.state.change(least_area_m2=0.01)
-    driver.wait(lambda: driver.result.patch.area_m2 == 0.0)
-
-    def note(answer, newest):
-        areas.append(answer.result.patch.area_m2)
-
-    controller.client.solved.connect(note)
-    controller.cold_solve()
-    driver.wait(lambda: bool(areas))
-    assert areas == [0.0]
-    controller.client.solved.disconnect(note)
-    # a panel opened during the cold solve gets its diagnostics
-    for frame in (CONTACT + 1, CONTACT + 2):
-        driver.state.seek(frame)
-        controller.cold_solve()
-        driver.show("threshold")
-        driver.wait(lambda: controller.inspection.kappa_curve is not None)
-        solved_from_rest(driver)
-        assert controller.inspection.kappa_curve is not None
-        driver.window.panels["threshold"].hide()
+    client.solved.disconnect(note)
 
 
 class Waiting:

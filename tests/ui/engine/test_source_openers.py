@@ -52,7 +52,9 @@ def says_iou(driver):
     return curve is not None and "IoU" in curve.frame.label.text
 
 
-def test_dropped_ground_truth_shows_the_iou_and_is_saved_in_the_session(drive, sensor, files):
+def test_ground_truth_is_saved_in_the_session_and_markers_are_on_the_timeline(
+    drive, sensor, files, tmp_path
+):
     driver = opened(drive, sensor, files / "sim.mcap")
     driver.wait_until_shown()
     assert not says_iou(driver)
@@ -71,9 +73,7 @@ def test_dropped_ground_truth_shows_the_iou_and_is_saved_in_the_session(drive, s
     other.wait(lambda: other.state.facts.frames == FRAMES)
     other.window.panels["threshold"].raise_()  # above Compare
     other.wait(lambda: says_iou(other))
-
-
-def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp_path):
+    # markers and notes of another recording are on the timeline
     source, recorder = DentSource(sensor), Recorder()
     recorder.start(tmp_path / "marked.mcap")
     begun = 1_790_000_000_000_000_000
@@ -84,7 +84,10 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
         if k in (3, 7):
             recorder.mark("slipped here" if k == 7 else "marker at frame 3", at)
     assert not recorder.stop().problem
-    driver = opened(drive, sensor, tmp_path / "marked.mcap")
+    driver.drop(tmp_path / "marked.mcap")
+    driver.wait(lambda: driver.state.facts.title == "marked.mcap")
+    driver.state.set_playing(False)
+    driver.seek(2)
     driver.wait(lambda: driver.state.markers == (3, 7))
     assert "marked: slipped here" in driver.window.playback.timeline.tip(7)
     assert "marked" not in driver.window.playback.timeline.tip(6)
@@ -97,21 +100,7 @@ def test_markers_and_notes_of_a_recording_are_on_the_timeline(drive, sensor, tmp
     driver.wait_for_message("cut.mcap ends early")
 
 
-def test_ground_truth_next_to_the_recording_is_found_or_reported_as_foreign(
-    drive, sensor, files, tmp_path
-):
-    shutil.copy(files / "sim.mcap", tmp_path)
-    shutil.copy(files / "what_is_true.npz", tmp_path / "sim.npz")
-    driver = opened(drive, sensor, tmp_path / "sim.mcap")
-    driver.wait(lambda: says_iou(driver))
-    truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
-    np.savez(tmp_path / "sim.npz", **truth)
-    driver.trigger("File › Reload")
-    driver.wait_for_message("sim.npz: belongs to another recording")
-    driver.wait(lambda: not says_iou(driver))
-
-
-def test_ground_truth_of_another_recording_is_refused_and_the_source_stays_open(
+def test_ground_truth_is_opened_found_or_refused_as_of_another_recording(
     drive, sensor, files, tmp_path, monkeypatch
 ):
     menu, name = "File › Open ground truth", str(files / "what_is_true.npz")
@@ -137,6 +126,20 @@ def test_ground_truth_of_another_recording_is_refused_and_the_source_stays_open(
     assert driver.state.facts.frames == FRAMES and driver.state.frame == 2 and not says_iou(driver)
     driver.trigger(menu)
     driver.wait(lambda: says_iou(driver))
+    # one next to the recording is found, or reported as foreign
+    while driver.window.message.isVisible():
+        driver.click(driver.window.message.dismiss)
+    driver.show_source(DentSource, sensor)
+    shutil.copy(files / "sim.mcap", tmp_path)
+    shutil.copy(files / "what_is_true.npz", tmp_path / "sim.npz")
+    driver.drop(tmp_path / "sim.mcap")
+    driver.wait(lambda: driver.state.facts.frames == FRAMES)
+    driver.wait(lambda: says_iou(driver))
+    truth = {name: array[:-1] for name, array in np.load(files / "what_is_true.npz").items()}
+    np.savez(tmp_path / "sim.npz", **truth)
+    driver.trigger("File › Reload")
+    driver.wait_for_message("sim.npz: belongs to another recording")
+    driver.wait(lambda: not says_iou(driver))
 
 
 @pytest.mark.long
