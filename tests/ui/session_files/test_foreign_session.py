@@ -2,7 +2,6 @@
 
 import socket
 
-import pytest
 from fakes import small_sensor
 from live_bench import sensor_file
 from PySide6.QtWidgets import QMessageBox
@@ -12,17 +11,16 @@ from bubbleviz_ui.session_files.session_file import SavedSession
 from bubbleviz_ui.window_session import window_session
 
 
-@pytest.mark.parametrize("agrees", [False, True])
 def test_session_file_connects_to_other_computers_only_after_a_question(
-    qtbot, tmp_path, monkeypatch, agrees
+    qtbot, tmp_path, monkeypatch
 ):
     """The question names address and password file; the default is No."""
-    asked = []
+    asked, answers = [], [None, QMessageBox.StandardButton.Yes]
 
     def answer(parent, title, text, buttons, default):
         asked.append(text)
         assert default == QMessageBox.StandardButton.No
-        return QMessageBox.StandardButton.Yes if agrees else default
+        return answers.pop(0) or default
 
     monkeypatch.setattr(QMessageBox, "question", answer)
     (tmp_path / "login").write_text("ann:secret")
@@ -44,12 +42,15 @@ def test_session_file_connects_to_other_computers_only_after_a_question(
         (tmp_path / "a.json").write_text(saved.model_dump_json())
         with window_session(small_sensor(), None, None, None, None, None, None) as session:
             session.wait_for(lambda: session.state.facts is not None, "opening")
-            session.window.session_saver.open(tmp_path / "a.json")
-            session.wait_for(lambda: asked or is_called(), "a question or a connection")
-            assert len(asked) == 1 and place in asked[0]
-            if agrees:
-                session.wait_for(is_called, "a connection")
-            else:
-                shown = set[int]()
-                session.wait_for(lambda: shown.add(session.state.frame) or len(shown) > 5, "play")
-                assert not is_called()
+
+            def open_file(times):
+                session.window.session_saver.open(tmp_path / "a.json")
+                session.wait_for(lambda: asked[times:] or is_called(), "a question or a connection")
+                assert len(asked) == times + 1 and place in asked[times]
+
+            open_file(0)
+            shown = set[int]()
+            session.wait_for(lambda: shown.add(session.state.frame) or len(shown) > 5, "play")
+            assert not is_called()
+            open_file(1)
+            session.wait_for(is_called, "a connection")

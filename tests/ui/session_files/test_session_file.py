@@ -131,15 +131,40 @@ def test_unreadable_session_is_renamed(tmp_path):
     assert (tmp_path / "session.unreadable").read_text() == "{"
 
 
-def test_recent_files_and_reload(drive, files, tmp_path):
-    driver = drive()
+def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, tmp_path):
+    driver = drive(frame=3)
+    saver, view = driver.window.session_saver, driver.window.view
+    assert saver.snapshot().camera is None
+    driver.drag(view, view.rect().center(), view.rect().center() + QPoint(40, 20))
+    saved = saver.snapshot().camera
+    assert saved is not None and saved.position == pytest.approx(view.camera.position)
+    saver.save_as(tmp_path / "a.bubbleviz")
+    assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
+    assert read_session(tmp_path / "a.bubbleviz").frame == 3
+    # a foreign file changes neither the publishing endpoint nor the recording folder
+    saved = read_session(tmp_path / "a.bubbleviz")
+    choices = {**saved.choices, "publish_at": "tcp/0.0.0.0:7448", "record_folder": "/"}
+    crafted = saved.model_copy(update={"choices": choices})
+    (tmp_path / "b.bubbleviz").write_text(crafted.model_dump_json())
+    driver.window.open_file(tmp_path / "b.bubbleviz")
+    assert driver.state.settings.publish_at.startswith("tcp/127.0.0.1")
+    assert driver.window.live_controller.publishing.endpoint.startswith("tcp/127.0.0.1")
+    assert driver.state.settings.record_folder is None
+    # an invalid file gives a message
+    bad = tmp_path / "bad.bubbleviz"
+    bad.write_text("not json")
+    driver.window.open_file(bad)
+    assert driver.window.message.isVisible() and "bad.bubbleviz" in driver.message_text
+    # recent files and reload
+    driver.window.message.hide()
     window, copy = driver.window, tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", copy)
     open_press(driver, files, tmp_path, frame=5)
     menu = next(
         a.menu() for a in window.menuBar().actions()[0].menu().actions() if "recent" in a.text()
     )
-    assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml"]
+    sessions = [tmp_path / f"{name}.bubbleviz" for name in "ba"]
+    assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml", *sessions]
     driver.state.set_markers((1,))
     gone = window.controller.client.session
     driver.trigger("File › Reload")
@@ -154,23 +179,6 @@ def test_recent_files_and_reload(drive, files, tmp_path):
     copy.unlink()
     driver.trigger("File › Reload")
     driver.wait_for_message("press.mcap")
-
-
-def test_moved_camera_is_saved_and_an_invalid_session_gives_a_message(drive, tmp_path):
-    driver = drive(frame=3)
-    saver, view = driver.window.session_saver, driver.window.view
-    assert saver.snapshot().camera is None
-    driver.drag(view, view.rect().center(), view.rect().center() + QPoint(40, 20))
-    saved = saver.snapshot().camera
-    assert saved is not None and saved.position == pytest.approx(view.camera.position)
-    saver.save_as(tmp_path / "a.bubbleviz")
-    assert (tmp_path / "a.bubbleviz").stat().st_size < 20_000
-    assert read_session(tmp_path / "a.bubbleviz").frame == 3
-    # an invalid file gives a message
-    bad = tmp_path / "bad.bubbleviz"
-    bad.write_text("not json")
-    driver.window.open_file(bad)
-    assert driver.window.message.isVisible() and "bad.bubbleviz" in driver.message_text
 
 
 KILLED = """

@@ -235,17 +235,3 @@ def test_invalid_session_file_gives_one_sentence(tmp_path, text):
 def test_missing_session_or_session_with_frame_option_is_an_error(tmp_path):
     for words, told in ([], "a.bubbleviz"), (["--frame", "3"], "--frame"):
         assert told in refusal("open", tmp_path / "a.bubbleviz", *words)
-
-
-def test_session_file_does_not_change_the_publishing_endpoint(drive, tmp_path):
-    """Nor the recording folder: a foreign file must not expose this computer."""
-    mine = drive()
-    mine.window.session_saver.save_as(tmp_path / "a.bubbleviz")
-    saved = read_session(tmp_path / "a.bubbleviz")
-    choices = {**saved.choices, "publish_at": "tcp/0.0.0.0:7448", "record_folder": "/"}
-    crafted = saved.model_copy(update={"choices": choices})
-    (tmp_path / "b.bubbleviz").write_text(crafted.model_dump_json())
-    mine.window.open_file(tmp_path / "b.bubbleviz")
-    assert mine.state.settings.publish_at.startswith("tcp/127.0.0.1")
-    assert mine.window.live_controller.publishing.endpoint.startswith("tcp/127.0.0.1")
-    assert mine.state.settings.record_folder is None
