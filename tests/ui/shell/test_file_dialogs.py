@@ -10,7 +10,7 @@ from bubbleviz.files import SESSION_SUFFIX
 from bubbleviz_ui.model.settings import Settings
 
 
-def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
+def test_dialogs_ask_before_replacing_add_suffixes_remember_folders_and_leave_space_to_play(
     drive, sensor, tmp_path, monkeypatch
 ):
     driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
@@ -57,9 +57,9 @@ def test_save_dialogs_ask_before_replacing_add_suffixes_and_remember_folders(
     driver.wait(lambda: driver.state.facts.title == "press.mcap")
     driver.trigger("File › Open recording")
     assert asked[-1] == ("Open recording", str(tmp_path))
+    # Space plays after opening by the dialog
+    monkeypatch.undo()
 
-
-def test_space_plays_after_opening_by_the_dialog(drive, sensor, tmp_path, monkeypatch):
     def asked(parent, title, folder, kinds):
         dialog = QFileDialog(parent, title, folder, kinds)
         chosen = dialog.selectedFiles() if dialog.exec() else []
@@ -68,12 +68,12 @@ def test_space_plays_after_opening_by_the_dialog(drive, sensor, tmp_path, monkey
 
     # Qt's own dialog lives on its stack, where Python must not hold it
     monkeypatch.setattr(QFileDialog, "getOpenFileNames", asked)
-    path, driver = record(tmp_path / "press.mcap", DentSource(sensor)), drive()
+    path = record(tmp_path / "again.mcap", DentSource(sensor))
     loop, state = driver.window.playback.loop, driver.state
     driver.activate()
     loop.setFocus()  # as by Tab; Space there is a click on it
     answer_file_dialog(driver, lambda: driver.trigger("File › Open recording"), str(path))
-    driver.wait(lambda: state.facts.title == "press.mcap")
+    driver.wait(lambda: state.facts.title == "again.mcap")
     driver.activate()
     driver.wait(lambda: QApplication.focusWidget() is not None)
     state.set_playing(False)

@@ -70,9 +70,7 @@ def test_check_marks_follow_the_state_and_close_shows_the_sensor_at_rest(drive, 
     driver.bot.keyClick(driver.window, Qt.Key.Key_Space)
     driver.bot.keyClick(driver.window, Qt.Key.Key_End)
     close(driver)
-    driver.open("dent", DentSource, sensor, frame=11, playing=False)
-    driver.wait(lambda: driver.state.facts.title == "dent")
-    driver.wait_until_shown()
+    driver.show_source(DentSource, sensor, frame=11)
     assert len(driver.pressure_pixels()) > 100
 
 

@@ -35,9 +35,7 @@ def desktop():
     QDesktopServices.unsetUrlHandler("file")
 
 
-def test_notice_opens_the_written_file_moves_nothing_and_disappears(
-    drive, desktop, tmp_path, monkeypatch
-):
+def test_notice_messages_and_hint_by_clicks(drive, desktop, tmp_path, monkeypatch):
     driver = drive(frame=5)
     window, notice, path = driver.window, driver.window.notice, tmp_path / "shot.png"
     window.save_screenshot(path)
@@ -82,11 +80,9 @@ def test_notice_opens_the_written_file_moves_nothing_and_disappears(
     driver.wait_for_message("cannot be written")
     driver.click(window.message.dismiss)
     assert not window.message.isVisible()
-
-
-def test_messages_are_shown_by_kind_listed_and_copied_and_the_hint_is_dismissed(drive, tmp_path):
-    driver = drive()
-    window, message = driver.window, driver.window.message
+    monkeypatch.undo()
+    # messages are shown by kind, listed and copied
+    message = window.message
     for theme in ("dark", "light"):
         driver.state.change(theme=theme)
         seen = set()
@@ -119,7 +115,7 @@ def test_messages_are_shown_by_kind_listed_and_copied_and_the_hint_is_dismissed(
     driver.click(message.dismiss)
     assert not message.isVisible()
     # the hint is shown until it is read
-    saver, hint, file = driver.window.session_saver, driver.window.hint, tmp_path / "session.json"
+    saver, hint, file = window.session_saver, window.hint, tmp_path / "session.json"
     assert not hint.isVisible()
     saver.keep_in(file)
     assert hint.isVisible() and "Ctrl+K" in hint.label.text()
