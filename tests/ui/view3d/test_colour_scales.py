@@ -48,15 +48,6 @@ def peak_kpa(driver, frame):
     return 1e-3 * float(driver.result.estimate.contact_pressure_pa.max())
 
 
-def test_one_scale_for_all_frames_of_a_recording(drive):
-    driver = drive(DentSource, frame=0)
-    ends = {scale(driver)}
-    for frame in range(FRAMES):
-        peak = peak_kpa(driver, frame)
-        ends.add(scale(driver))
-    assert len(ends) == 1 and ends.pop() >= peak
-
-
 class HeldSource(DentSource):
     """Frames after the first are read once `released`; notes which are read."""
 
@@ -105,17 +96,8 @@ def test_scale_grows_only_in_the_first_pass_of_playback(drive):
     assert {end for _, end in ends[first:]} == {ends[-1][1]}
 
 
-def test_outliers_do_not_change_the_scale(drive):
-    outlier = 77
-    driver = drive(lambda sensor: LongSource(sensor, {outlier}), frame=0)
-    end = scale(driver)
-    usual = [peak_kpa(driver, frame) for frame in (8, 9, 76)]
-    assert peak_kpa(driver, outlier) > end >= max(usual) and scale(driver) == end
-    assert peak_kpa(driver, 78) <= end == scale(driver)
-
-
-def test_scale_is_the_same_in_all_frames_of_a_video(drive, tmp_path):
-    """Although the frames solved ahead have a smaller pressure."""
+def test_scale_is_the_same_in_all_frames_of_a_video_and_without_outliers(drive, sensor, tmp_path):
+    # although the frames solved ahead have a smaller pressure
     deep = range(75, 80)
     driver = drive(lambda sensor: LongSource(sensor, deep, usual=0), frame=0)
     before, window, seen = scale(driver), driver.window, []
@@ -129,6 +111,14 @@ def test_scale_is_the_same_in_all_frames_of_a_video(drive, tmp_path):
     drawn = {result.frame.index: end for result, end in seen if result.frame.index >= 70}
     assert set(drawn) == set(range(70, 80)) and len(set(drawn.values())) == 1
     assert drawn[70] > before and out.stat().st_size > 1000
+    outlier = 77
+    # outliers do not change the scale
+    driver.show_source(lambda sensor: LongSource(sensor, {outlier}), sensor)
+    driver.wait_until_solved_ahead()
+    end = scale(driver)
+    usual = [peak_kpa(driver, frame) for frame in (8, 9, 76)]
+    assert peak_kpa(driver, outlier) > end >= max(usual) and scale(driver) == end
+    assert peak_kpa(driver, 78) <= end == scale(driver)
 
 
 def place_of_bar(driver, quantity):
@@ -143,9 +133,44 @@ def place_of_bar(driver, quantity):
     return QPoint(round(x * view.width()), round((1.0 - y) * view.height()))
 
 
-@pytest.mark.parametrize(("quantity", "unit"), [("pressure", "kPa"), ("residual", "mm")])
-def test_a_click_on_the_bar_locks_its_scale(drive, sensor, quantity, unit):
+def test_one_scale_for_all_frames_of_a_recording_and_for_images(drive):
+    driver = drive(DentSource, frame=0)
+    ends = {scale(driver)}
+    for frame in range(FRAMES):
+        peak = peak_kpa(driver, frame)
+        ends.add(scale(driver))
+    assert len(ends) == 1 and ends.pop() >= peak
+    # the residual has the same scale in images and in the view
+    driver.window.resize(1280, 800)
+    driver.choose(layers=frozenset({"membrane", "cloud"}), images=frozenset({"residual"}))
+    driver.show("images")
+    panel = driver.window.images
+    driver.wait(lambda: bool(panel.cells) and panel.cells["residual"].image is not None)
+    driver.wait_until_solved_ahead()
+
+    def ends():
+        """Ends of the legend of the residual image, mm."""
+        legend = panel.cells["residual"].text.partition("<br>")[2]
+        low, *_, high, unit = re.sub("<[^>]*>", "", legend).split()
+        return float(low), float(high), unit
+
+    for locked_m in (None, 2.2e-4, None):
+        driver.choose(residual_max_m=locked_m)
+        driver.seek(7 if locked_m else 6)
+        end = scale(driver, "residual")
+        driver.wait(lambda end=end: ends() == (-end, end, "mm"))
+        assert locked_m is None or end == 1e3 * locked_m
+
+
+def test_a_click_on_the_bar_locks_its_scale(drive, sensor):
     driver = drive(DentSource, frame=6)
+    for quantity, unit in (("pressure", "kPa"), ("residual", "mm")):
+        driver.show_source(DentSource, sensor, frame=6)
+        check_lock(driver, sensor, quantity, unit)
+        driver.choose(pressure_max_pa=None, residual_max_m=None)
+
+
+def check_lock(driver, sensor, quantity, unit):
     driver.choose(layers=frozenset({"membrane", "cloud"}))
     driver.wait_until_solved_ahead()
     end, title = scale(driver, quantity), {"pressure": "contact pressure"}.get(quantity, quantity)
@@ -170,26 +195,3 @@ def test_a_click_on_the_bar_locks_its_scale(drive, sensor, quantity, unit):
     driver.key(Qt.Key.Key_Z, CTRL)
     driver.wait_for_redraw()
     assert scale(driver, quantity) == end
-
-
-def test_residual_has_the_same_scale_in_images_and_in_the_view(drive):
-    driver = drive(DentSource, frame=6)
-    driver.window.resize(1280, 800)
-    driver.choose(layers=frozenset({"membrane", "cloud"}), images=frozenset({"residual"}))
-    driver.show("images")
-    panel = driver.window.images
-    driver.wait(lambda: bool(panel.cells) and panel.cells["residual"].image is not None)
-    driver.wait_until_solved_ahead()
-
-    def ends():
-        """Ends of the legend of the residual image, mm."""
-        legend = panel.cells["residual"].text.partition("<br>")[2]
-        low, *_, high, unit = re.sub("<[^>]*>", "", legend).split()
-        return float(low), float(high), unit
-
-    for locked_m in (None, 2.2e-4, None):
-        driver.choose(residual_max_m=locked_m)
-        driver.seek(7 if locked_m else 6)
-        end = scale(driver, "residual")
-        driver.wait(lambda end=end: ends() == (-end, end, "mm"))
-        assert locked_m is None or end == 1e3 * locked_m

@@ -55,7 +55,7 @@ def test_quality_from_the_driver_or_the_environment_variable(monkeypatch):
 
 
 @pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=lambda quality: quality.name)
-def test_edges_and_points_are_smooth_or_fast(drive, quality):
+def test_edges_and_points_are_smooth_or_fast_and_lit_as_by_vtk(drive, quality):
     driver = drive(quality=quality)
     window, smooth = driver.window, quality is SMOOTH
     driver.choose(layers=frozenset({"rim"}))
@@ -86,16 +86,7 @@ def test_edges_and_points_are_smooth_or_fast(drive, quality):
     assert (moving <= 50) == (quality is FAST)  # frames have different holes
     driver.state.set_playing(False)
     driver.wait(lambda: len(driver.result.cloud_m) > 100)
-
-
-def share_of_shades(picture, line, ground):
-    """Share of antialiased pixels among those not of the background."""
-    on, off = ((picture == rgb(colour)).all(axis=2) for colour in (line, ground))
-    return float((~on & ~off).sum() / (~off).sum())
-
-
-def test_membrane_lighting_equals_vtk_lighting(drive):
-    driver = drive()
+    # the membrane's lighting is that of VTK
     driver.choose(layers=frozenset({"membrane"}))
     ours = driver.pixels().astype(int)
     assert np.ptp(ours[ours.shape[0] // 2], axis=0).max() > 30  # shaded
@@ -104,3 +95,9 @@ def test_membrane_lighting_equals_vtk_lighting(drive):
     driver.window.view.refresh()
     driver.wait_until_shown()
     assert np.abs(driver.pixels().astype(int) - ours).max() <= 1
+
+
+def share_of_shades(picture, line, ground):
+    """Share of antialiased pixels among those not of the background."""
+    on, off = ((picture == rgb(colour)).all(axis=2) for colour in (line, ground))
+    return float((~on & ~off).sum() / (~off).sum())

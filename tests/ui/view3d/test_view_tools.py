@@ -29,7 +29,7 @@ def opened(driver):
     return driver.window.tools
 
 
-def test_viewpoints_exaggeration_vectors_and_colour_maps(drive):
+def test_viewpoints_exaggeration_vectors_colour_maps_and_section(drive):
     driver = drive(frame=CONTACT)
     tools, camera = opened(driver), driver.window.view.camera
     for name, direction in {"top": (0, 0, -1), "side": (-1, 0, 0), "front": (0, 1, 0)}.items():
@@ -85,6 +85,52 @@ def test_viewpoints_exaggeration_vectors_and_colour_maps(drive):
     pressure = driver.result.estimate.contact_pressure_pa
     assert np.corrcoef(length, pressure)[0, 1] > 0.999 and length[pressure == 0.0].max() < 1e-9
     assert driver.count(ORANGE)[0] > 20
+    # a section clips the scene
+    driver.choose(layers=frozenset({"membrane"}))
+    driver.state.set_panel_open("images", False)
+    driver.window.scene.look_from("top")
+    driver.wait_until_shown()
+    view = driver.window.view
+    background = view.pixels()[5, 5]
+    left, right = (screen_point(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
+
+    def drawn(place):
+        return bool(np.any(view.pixels()[place.y(), place.x()] != background))
+
+    assert drawn(left) and drawn(right)
+    tools.section.setFocus()
+    driver.bot.keyClick(tools.section, Qt.Key.Key_Down)
+    assert driver.state.settings.section_axis == "x"
+    driver.wait_until_shown()
+    assert not drawn(left) and drawn(right)
+    assert driver.count(ORANGE)[0] > 50
+    driver.click(tools.flipped)
+    driver.wait_until_shown()
+    assert drawn(left) and not drawn(right)
+    tools.section_at.setValue(tools.section_at.maximum())
+    assert tools.section_text.text() == "at 75.00 mm"
+    driver.wait_until_shown()
+    assert drawn(left) and drawn(right)
+    tools.section.setCurrentIndex(0)
+    driver.wait_until_shown()
+    assert driver.count(ORANGE)[0] == 0
+    # clipped membrane and points are not picked
+    driver.choose(section_flipped=False, section_at_m=0.0)
+    tools.section.setCurrentIndex(tools.section.findText("cut ⊥ x"))
+    view = driver.window.view
+    for layers in ({"membrane"}, {"cloud"}, {"membrane", "cloud"}):
+        driver.choose(layers=frozenset(layers))
+        cloudy = "cloud" in layers
+        driver.wait(lambda cloudy=cloudy: (driver.result.cloud_m is not None) == cloudy)
+        cloud = driver.result.cloud_m
+        points = driver.nodes() if cloud is None else cloud
+        there = [point for point in points[::7] if abs(point[0]) > 0.01 and point[2] > 0.02]
+        for point in there[:: len(there) // 6]:
+            hover(view, screen_point(driver, point))
+            driver.wait(lambda: no_pending_timers(driver.window.pointing))
+            place = driver.window.hover.place
+            assert (place is not None) == (point[0] > 0.0), (layers, point)
+        assert len({point[0] > 0.0 for point in there[:: len(there) // 6]}) == 2
 
 
 def hottest(driver):
@@ -92,7 +138,7 @@ def hottest(driver):
     return driver.nodes()[int(np.argmax(driver.result.estimate.contact_pressure_pa))]
 
 
-def test_probe_and_distance_by_clicks(drive):
+def test_probe_distance_and_profile_by_clicks(drive):
     driver = drive(frame=CONTACT)
     tools, view, middle = opened(driver), driver.window.view, driver.window.view.rect().center()
     driver.click(tools.tools["probe"])
@@ -184,11 +230,9 @@ def test_probe_and_distance_by_clicks(drive):
     driver.click(tools.tools["rotate"])
     driver.wait_until_shown()
     assert driver.count(GREEN)[0] == 0
-
-
-def test_profile_between_two_clicked_points(drive):
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
+    # a profile between two points
+    driver.choose(length_unit="mm", pressure_unit="kPa")
+    driver.seek(CONTACT)
     driver.window.scene.look_from("top")
     driver.wait_until_shown()
     assert not tools.profile.isVisible()
@@ -214,55 +258,7 @@ def test_profile_between_two_clicked_points(drive):
     assert not plot.isVisible()
 
 
-def test_section_clips_the_scene_and_clipped_parts_are_not_picked(drive):
-    driver = drive(frame=CONTACT)
-    tools = opened(driver)
-    driver.window.scene.look_from("top")
-    driver.wait_until_shown()
-    view = driver.window.view
-    background = view.pixels()[5, 5]
-    left, right = (screen_point(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
-
-    def drawn(place):
-        return bool(np.any(view.pixels()[place.y(), place.x()] != background))
-
-    assert drawn(left) and drawn(right)
-    tools.section.setFocus()
-    driver.bot.keyClick(tools.section, Qt.Key.Key_Down)
-    assert driver.state.settings.section_axis == "x"
-    driver.wait_until_shown()
-    assert not drawn(left) and drawn(right)
-    assert driver.count(ORANGE)[0] > 50
-    driver.click(tools.flipped)
-    driver.wait_until_shown()
-    assert drawn(left) and not drawn(right)
-    tools.section_at.setValue(tools.section_at.maximum())
-    assert tools.section_text.text() == "at 75.00 mm"
-    driver.wait_until_shown()
-    assert drawn(left) and drawn(right)
-    tools.section.setCurrentIndex(0)
-    driver.wait_until_shown()
-    assert driver.count(ORANGE)[0] == 0
-    # clipped membrane and points are not picked
-    driver.choose(section_flipped=False, section_at_m=0.0)
-    tools.section.setCurrentIndex(tools.section.findText("cut ⊥ x"))
-    view = driver.window.view
-    for layers in ({"membrane"}, {"cloud"}, {"membrane", "cloud"}):
-        driver.choose(layers=frozenset(layers))
-        cloudy = "cloud" in layers
-        driver.wait(lambda cloudy=cloudy: (driver.result.cloud_m is not None) == cloudy)
-        cloud = driver.result.cloud_m
-        points = driver.nodes() if cloud is None else cloud
-        there = [point for point in points[::7] if abs(point[0]) > 0.01 and point[2] > 0.02]
-        for point in there[:: len(there) // 6]:
-            hover(view, screen_point(driver, point))
-            driver.wait(lambda: no_pending_timers(driver.window.pointing))
-            place = driver.window.hover.place
-            assert (place is not None) == (point[0] > 0.0), (layers, point)
-        assert len({point[0] > 0.0 for point in there[:: len(there) // 6]}) == 2
-
-
-def test_saved_picture_has_any_size_and_no_pointer_marks(drive, tmp_path):
+def test_saved_picture_turntable_and_layout_of_the_tools_panel(drive, tmp_path):
     driver = drive(frame=CONTACT)
     tools = opened(driver)
     before = driver.pixels()
@@ -297,11 +293,11 @@ def test_saved_picture_has_any_size_and_no_pointer_marks(drive, tmp_path):
     driver.window.tools.use_tool("probe")
     driver.click(view, view.rect().center())
     assert np.any(picture_of(view, 640, 400) != before)  # the marks of a click are kept
-
-
-def test_turntable_and_layout_of_the_tools_panel(drive):
-    driver = drive(frame=CONTACT)
-    tools, camera = opened(driver), driver.window.view.camera
+    # the turntable
+    camera = driver.window.view.camera
+    driver.state.set_panel_open("images", False)
+    driver.click(driver.window.message.dismiss)
+    driver.wait_until_shown()
     start = np.array(camera.position)
     driver.click(tools.turn)
     driver.wait(lambda: np.linalg.norm(np.array(camera.position) - start) > 0.01)
