@@ -7,7 +7,7 @@ from live_bench import connected_bench
 from window_driver import CONTACT, view_texts
 
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz_ui.model.settings import ComparedSetting
+from bubbleviz_ui.model.settings import ComparedSetting, Settings
 from bubbleviz_ui.model.source_facts import force_text
 from bubbleviz_ui.shell import theme
 
@@ -121,7 +121,7 @@ def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive
     assert state.settings.kappa is None and state.settings.solver is None
 
 
-def test_current_setting_measures_what_the_window_shows(drive):
+def test_current_setting_measures_what_the_window_shows_with_its_friction(drive):
     driver = drive(frame=CONTACT)
     driver.show("compare")
     driver.state.change(compared=(ComparedSetting(), ComparedSetting(solver="linear", nodes=100)))
@@ -147,23 +147,11 @@ def test_current_setting_measures_what_the_window_shows(drive):
     driver.wait(lambda: text(driver, "frame") == f"{driver.state.frame}")
     compared.disconnect(naming)
     assert all(text == f"{index}" for text, index in named)
-
-
-def test_live_frame_is_compared_with_zeroed_gas_pressure(open_bench):
-    live = connected_bench(open_bench)
-    live.learn_zero(shift_pa=100.0)
-    live.show("compare")
-    live.wait_for_frames()
-    live.wait(lambda: live.result.patch.area_m2 > 0.0)
-    live.state.freeze(True)
-    live.wait_until_shown()
-    wait_until_as_shown(live)
-
-
-def test_friction_of_the_friction_setting_is_shown_everywhere(drive):
-    driver = drive(DentSource, sensor=small_sensor(prestretch=1.3), frame=6)
+    # friction of the friction setting is shown everywhere
     window, panel = driver.window, driver.window.compare
-    driver.show("compare")
+    driver.choose(compared=Settings().compared, least_area_m2=Settings().least_area_m2)
+    window.undo_stack.clear()
+    driver.show_source(DentSource, small_sensor(prestretch=1.3), frame=6)
 
     def shown_friction():
         """Check the friction shown by the window."""
@@ -198,3 +186,14 @@ def test_friction_of_the_friction_setting_is_shown_everywhere(drive):
     driver.wait(lambda: shown_friction() == f"{friction:.2f} N")
     driver.seek(0)
     assert window.status.labels["force"].toolTip().endswith("by friction: 0.00 N")
+
+
+def test_live_frame_is_compared_with_zeroed_gas_pressure(open_bench):
+    live = connected_bench(open_bench)
+    live.learn_zero(shift_pa=100.0)
+    live.show("compare")
+    live.wait_for_frames()
+    live.wait(lambda: live.result.patch.area_m2 > 0.0)
+    live.state.freeze(True)
+    live.wait_until_shown()
+    wait_until_as_shown(live)

@@ -49,8 +49,34 @@ def pointed_at(driver, place):
     driver.wait(lambda: (driver.window.hover.place is None) == (place == AWAY))
 
 
-def test_images_and_view_mark_the_same_probed_place(drive):
+def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive):
     driver = drive(frame=CONTACT)
+    # images fit a small window as a tab of plots: the view keeps its width, none is a thumbnail
+    driver.resize(1016, 660)
+    wide = driver.window.view.width()
+    driver.trigger("View › Plots")
+    driver.wait_until_shown()
+    plots = graphics_view(driver.window.plots).viewport()
+    assert plots.visibleRegion().boundingRect().height() == plots.height() > 200
+    driver.trigger("View › Images")
+    driver.wait_until_shown()
+    assert driver.size == (1016, 660) and driver.window.view.width() == wide
+    cells = [driver.window.images.cells[name] for name in driver.state.settings.images]
+    assert len(cells) >= 3
+    for cell in cells:
+        assert cell.box.sceneBoundingRect().height() > 90
+    # of the default plots two are side by side; further rows scroll
+    driver.window.panels["plots"].raise_()
+    for box in driver.window.plots.boxes.values():
+        if not box.isChecked():
+            box.trigger()
+    driver.wait_until_shown()
+    assert driver.size == (1016, 660)
+    assert plots.height() >= 2 * plots.visibleRegion().boundingRect().height()
+    for name in ("images", "plots"):
+        driver.window.panels[name].hide()
+    # both mark the same place
+    driver.resize(1024, 700)
     driver.choose(layers=driver.state.settings.layers | {"cloud"})
     driver.wait(lambda: driver.result.cloud_residual_m is not None)
     driver.wait_until_shown()
@@ -223,29 +249,3 @@ def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, m
 )
 def test_grid_with_the_largest_images(images, width, height, columns):
     assert best_columns(images, width, height) == columns
-
-
-def test_images_and_plots_fit_a_small_window(drive):
-    """As a tab of theirs: the view keeps its width, and each image is more than a thumbnail."""
-    driver = drive(frame=5)
-    driver.resize(1016, 660)
-    wide = driver.window.view.width()
-    driver.trigger("View › Plots")
-    driver.wait_until_shown()
-    plots = graphics_view(driver.window.plots).viewport()
-    assert plots.visibleRegion().boundingRect().height() == plots.height() > 200
-    driver.trigger("View › Images")
-    driver.wait_until_shown()
-    assert driver.size == (1016, 660) and driver.window.view.width() == wide
-    cells = [driver.window.images.cells[name] for name in driver.state.settings.images]
-    assert len(cells) >= 3
-    for cell in cells:
-        assert cell.box.sceneBoundingRect().height() > 90
-    # of the default plots two are side by side; further rows scroll
-    driver.window.panels["plots"].raise_()
-    for box in driver.window.plots.boxes.values():
-        if not box.isChecked():
-            box.trigger()
-    driver.wait_until_shown()
-    assert driver.size == (1016, 660)
-    assert plots.height() >= 2 * plots.visibleRegion().boundingRect().height()

@@ -63,7 +63,9 @@ def second_membranes(driver):
     return [p for p in vtk_props(driver) if isinstance(p, vtkAssembly) and p.GetVisibility()]
 
 
-def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path):
+def test_another_recording_or_sensor_file_is_overlaid_compared_and_drawn_beside(
+    driver, choose, sensor, tmp_path
+):
     panel, plots = driver.window.compare.other, driver.window.plots
     assert not panel.start.isEnabled() and not panel.drawn.isEnabled()
     choose(panel.recording, tmp_path / "later.mcap")
@@ -96,11 +98,23 @@ def test_a_later_recording_is_overlaid_by_first_contact(driver, choose, tmp_path
     driver.click(panel.remove)
     assert panel.result.text() == "" and not panel.start.isEnabled()
     assert panel.recording.text() == "Recording…"
-
-
-def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, tmp_path):
-    panel = driver.window.compare.other
-    driver.pick(panel.align, "By first contact")
+    driver.choose(kappa=None)
+    # the same recording is compared with another sensor file
+    gauge = {"gauge_pressure_pa": 1.5 * sensor.pneumatics.gauge_pressure_pa}
+    save_sensor(changed(sensor, pneumatics=gauge), tmp_path / "other.toml")
+    choose(panel.sensor_file, tmp_path / "other.toml")
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
+    here, *_ = numbers(driver, "|ΔF|")
+    force = np.linalg.norm(driver.result.patch.force_n)
+    assert here == pytest.approx(0.5 * force, rel=0.15)  # force is proportional to the gauge
+    # what cannot be read is said
+    choose(panel.recording, tmp_path / "missing.mcap")
+    driver.click(panel.start)
+    driver.wait(lambda: "missing.mcap" in panel.result.text())
+    assert panel.start.isEnabled()
+    driver.click(panel.remove)
+    # its membrane is drawn beside at the same moment
     choose(panel.recording, tmp_path / "later.mcap")
     driver.click(panel.start)
     driver.wait(lambda: "median" in panel.result.text())
@@ -130,20 +144,3 @@ def test_the_other_membrane_is_drawn_beside_at_the_same_moment(driver, choose, t
     driver.wait(lambda: panel.result.text() == "")
     assert not second_membranes(driver)
     driver.wait_until_shown()
-
-
-def test_the_same_recording_is_compared_with_another_sensor_file(driver, choose, sensor, tmp_path):
-    panel = driver.window.compare.other
-    gauge = {"gauge_pressure_pa": 1.5 * sensor.pneumatics.gauge_pressure_pa}
-    save_sensor(changed(sensor, pneumatics=gauge), tmp_path / "other.toml")
-    choose(panel.sensor_file, tmp_path / "other.toml")
-    driver.click(panel.start)
-    driver.wait(lambda: "median" in panel.result.text())
-    here, *_ = numbers(driver, "|ΔF|")
-    force = np.linalg.norm(driver.result.patch.force_n)
-    assert here == pytest.approx(0.5 * force, rel=0.15)  # force is proportional to the gauge
-    # what cannot be read is said
-    choose(panel.recording, tmp_path / "missing.mcap")
-    driver.click(panel.start)
-    driver.wait(lambda: "missing.mcap" in panel.result.text())
-    assert panel.start.isEnabled()

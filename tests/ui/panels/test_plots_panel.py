@@ -57,7 +57,36 @@ def curve(driver, plot, name, known):
     return shown.data[name]
 
 
-def test_all_frames_are_analysed_in_the_background(drive, sensor):
+class Repeated:
+    """A looping source."""
+
+    name = "repeated"
+
+    def __init__(self, source, frames):
+        self._source, self._frames = source, frames
+        self.times_s = np.arange(frames) / 30.0
+
+    def __len__(self):
+        return self._frames
+
+    def __getitem__(self, index):
+        return replace(self._source[index % len(self._source)], index=index)
+
+    def close(self):
+        pass
+
+
+class FlickeringSource(GappySource):
+    """Has no depth before and after its tenth frame."""
+
+    def __getitem__(self, index):
+        frame = super().__getitem__(index)
+        return replace(frame, depth_m=frame.depth_m * np.nan) if index in (8, 10) else frame
+
+
+def test_all_frames_are_analysed_in_the_background_and_missing_ones_break_curves(
+    drive, sensor, press
+):
     whole = default_press(sensor)
     fewer = CachedSource(SyntheticSource(sensor, whole.obj, whole.poses[::10], whole.noise))
     driver = drive(lambda _: fewer)
@@ -84,29 +113,9 @@ def test_all_frames_are_analysed_in_the_background(drive, sensor):
     assert driver.solver.counts["estimate"] == solved
     driver.seek(8)
     assert area[8] == pytest.approx(driver.result.patch.area_m2, rel=0.05)
-
-
-class Repeated:
-    """A looping source."""
-
-    name = "repeated"
-
-    def __init__(self, source, frames):
-        self._source, self._frames = source, frames
-        self.times_s = np.arange(frames) / 30.0
-
-    def __len__(self):
-        return self._frames
-
-    def __getitem__(self, index):
-        return replace(self._source[index % len(self._source)], index=index)
-
-    def close(self):
-        pass
-
-
-def test_analysis_is_cancelled_and_seeking_stays_possible(drive, press):
-    driver = drive(lambda _: Repeated(press, 5000))
+    # an analysis is cancelled, and seeking stays possible
+    driver.choose(kappa=None)
+    driver.show_source(lambda _: Repeated(press, 5000), sensor)
     panel, missing = opened(driver, "force"), lambda: len(driver.state.history.missing(PATCH))
     driver.click(panel.analyse)
     driver.wait(lambda: panel.progress.value() > 3)
@@ -120,18 +129,8 @@ def test_analysis_is_cancelled_and_seeking_stays_possible(drive, press):
     assert 0 < left < 5000 and left - after < 40
     driver.seek(300)
     assert after - 2 <= missing()
-
-
-class FlickeringSource(GappySource):
-    """Has no depth before and after its tenth frame."""
-
-    def __getitem__(self, index):
-        frame = super().__getitem__(index)
-        return replace(frame, depth_m=frame.depth_m * np.nan) if index in (8, 10) else frame
-
-
-def test_curves_and_bands_break_at_missing_frames_and_isolated_ones_are_dots(drive):
-    driver = drive(FlickeringSource)
+    # curves and bands break at missing frames, and isolated ones are dots
+    driver.show_source(FlickeringSource, sensor)
     panel = opened(driver, "force", "residual")
     driver.click(panel.analyse)
     for plot, name in (("force", "force_n"), ("residual", "residual_m")):
@@ -210,8 +209,7 @@ def test_only_chosen_plots_are_computed_and_their_contents(drive):
     driver.wait(lambda: f"measured {measured:.0f} Pa" in plain(panel, "gas"))
     gas = driver.window.status.labels["gas"]
     assert gas.text() == f"p_v {measured:+.0f} Pa"
-    driver.open("dent", DentSource, driver.window.controller.sensor, frame=8, playing=False)
-    driver.wait(lambda: driver.state.facts.title == "dent")
+    driver.show_source(DentSource, frame=8)
     driver.wait_until_shown()  # not measured: from the gas law
     law = driver.state.history.values["gas_law_pa"][8]
     assert law > 1.0 and gas.text() == f"p_v {law:+.0f} Pa"
@@ -241,8 +239,50 @@ def test_decimated_curves_keep_peaks_and_break_at_gaps():
         assert np.isfinite(decimated(times, np.ones(36_000), window_s, gaps)[1]).all()
 
 
-def test_statistics_of_a_range_and_values_at_cursor_and_mouse(drive):
+def test_height_of_plots_statistics_of_a_range_and_values_at_cursor_and_mouse(drive):
     driver = drive(DentSource)
+    # plots keep their height, after the window was smaller, and beside the statistics of a range
+    driver.resize(1280, 900)
+    driver.trigger("View › Plots")
+    driver.wait_until_shown()
+    panel, shown = driver.window.plots, graphics_view(driver.window.plots).viewport()
+
+    def height():
+        return shown.visibleRegion().boundingRect().height()
+
+    driver.wait(lambda: height() > 200)
+    full = height()
+    driver.resize(1024, 500)
+    assert 100 < height() < full
+    driver.resize(1280, 900)
+    driver.wait(lambda: height() == full)
+    driver.state.set_range((2, 8))
+    driver.wait(lambda: panel.statistics.isVisible() and height() == full)
+    rows = panel.statistics.verticalHeader()
+    assert rows.viewport().visibleRegion().boundingRect().height() >= rows.length()
+    driver.resize(1024, 600)
+    assert height() > 80
+    driver.state.set_range(None)
+    driver.resize(1280, 900)
+    driver.wait(lambda: height() == full)
+    # dragged by the line above it
+    dock = driver.window.panels["plots"]
+    line = QPoint(300, dock.y() - 2)
+    driver.bot.mousePress(driver.window, LEFT, pos=line)
+    driver.bot.mouseMove(driver.window, line - QPoint(0, 60))
+    driver.wait(lambda: height() == full + 60)
+    driver.bot.mouseRelease(driver.window, LEFT, pos=line - QPoint(0, 60))
+    saver = driver.window.session_saver
+    saved = saver.snapshot()
+    for _ in range(2):
+        driver.resize(1024, 500)
+        driver.resize(1280, 900)
+        driver.wait(lambda: height() == full + 60)
+        dock.hide()
+        saver.apply_settings(saved)
+        driver.wait_until_shown()
+        driver.wait(lambda: height() == full + 60)
+    # statistics of a range
     panel = opened(driver, "force", "gas", "residual")
     table, force = panel.statistics, driver.state.history.quantity("force_n")
 
@@ -308,51 +348,6 @@ def test_statistics_of_a_range_and_values_at_cursor_and_mouse(drive):
     for name, light in (("dark", False), ("light", True)):
         driver.state.change(theme=name)
         assert (painted(graphics_view(panel))[3, -3].mean() > 127) == light
-
-
-def test_plots_keep_their_height(drive):
-    """After the window was smaller, and beside the statistics of a range."""
-    driver = drive(DentSource, frame=6)
-    driver.resize(1280, 900)
-    driver.trigger("View › Plots")
-    driver.wait_until_shown()
-    panel, shown = driver.window.plots, graphics_view(driver.window.plots).viewport()
-
-    def height():
-        return shown.visibleRegion().boundingRect().height()
-
-    driver.wait(lambda: height() > 200)
-    opened = height()
-    driver.resize(1024, 500)
-    assert 100 < height() < opened
-    driver.resize(1280, 900)
-    driver.wait(lambda: height() == opened)
-    driver.state.set_range((2, 8))
-    driver.wait(lambda: panel.statistics.isVisible() and height() == opened)
-    rows = panel.statistics.verticalHeader()
-    assert rows.viewport().visibleRegion().boundingRect().height() >= rows.length()
-    driver.resize(1024, 600)
-    assert height() > 80
-    driver.state.set_range(None)
-    driver.resize(1280, 900)
-    driver.wait(lambda: height() == opened)
-    # dragged by the line above it
-    dock = driver.window.panels["plots"]
-    line = QPoint(300, dock.y() - 2)
-    driver.bot.mousePress(driver.window, LEFT, pos=line)
-    driver.bot.mouseMove(driver.window, line - QPoint(0, 60))
-    driver.wait(lambda: height() == opened + 60)
-    driver.bot.mouseRelease(driver.window, LEFT, pos=line - QPoint(0, 60))
-    saver = driver.window.session_saver
-    saved = saver.snapshot()
-    for _ in range(2):
-        driver.resize(1024, 500)
-        driver.resize(1280, 900)
-        driver.wait(lambda: height() == opened + 60)
-        dock.hide()
-        saver.apply_settings(saved)
-        driver.wait_until_shown()
-        driver.wait(lambda: height() == opened + 60)
 
 
 @pytest.mark.parametrize("width", [110, 150, 310, 900])
