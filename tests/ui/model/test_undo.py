@@ -60,7 +60,7 @@ CHANGES = {
 }
 
 
-def test_undo_and_redo_of_every_setting(drive):
+def test_undo_and_redo_of_every_setting_by_its_control(drive):
     assert CHANGES.keys() | LAYOUT == {field.name for field in fields(Settings)}
     driver = drive(frame=3)
     seen = [driver.state.settings]
@@ -75,10 +75,9 @@ def test_undo_and_redo_of_every_setting(drive):
         driver.redo()
         assert driver.state.settings == after
     driver.state.change(theme="system")
-
-
-def test_clicks_drags_and_typed_numbers_are_undo_steps(drive):
-    driver = drive(frame=3)
+    driver.choose(**{name: getattr(Settings(), name) for name in CHANGES})
+    driver.window.undo_stack.clear()
+    # clicks, drags and typed numbers are steps
     layers = driver.window.layers
     for name in ("wireframe", "rim"):
         driver.click(layers.boxes[name])
@@ -152,7 +151,7 @@ def opened(driver):
     return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
 
 
-def test_undo_of_open_panels_and_scenes(drive):
+def test_undo_of_panels_scenes_objects_and_compared_settings(drive, tmp_path, monkeypatch):
     driver = drive(frame=3)
     window = driver.window
     names = ["Layers", "Contact patch", "Threshold", "Compare", "3-D tools", "Pose", "Calibration",
@@ -202,6 +201,52 @@ def test_undo_of_open_panels_and_scenes(drive):
     window.hide()
     window.show()
     assert stack.index() == 1 and stack.canRedo()
+    # a dropped object is a step
+    driver.seek(6)
+    stack.clear()
+    driver.window.use_scene(load_scene("calibrate"))
+    driver.wait_until_shown()
+    for name in ("cylinder", "frustum"):
+        shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
+        driver.window.open_file(tmp_path / f"{name}.ply")
+        driver.wait(lambda name=name: driver.window.pose.session.obj is not None
+                    and driver.window.pose.session.obj.name == name)  # fmt: skip
+    assert stack.index() == 3
+    driver.wait_until_shown()
+    drawn = driver.window.scene.object  # drawn as not found yet
+    assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == NEUTRAL
+    driver.undo()
+    driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
+    driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
+    driver.undo()
+    driver.wait(lambda: driver.window.pose.session.obj is None)
+    assert driver.window.panels["pose"].isHidden()
+    driver.redo()
+    driver.wait(lambda: driver.window.pose.session.obj is not None)
+    # compared settings are undone in their boxes
+    driver.show("compare")
+    panel = driver.window.compare
+    driver.type(panel.b.controls["nodes"], "300")
+    driver.wait(lambda: panel.b.setting.options.nodes == 300)
+    driver.undo(panel.b.controls["nodes"])
+    assert panel.b.controls["nodes"].value() == 0 and panel.b.setting.options.nodes is None
+    assert panel.b.setting.options == EstimatorOptions("linear")
+    assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
+
+    # a pressed arrow is one step, however slow the machine
+    monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)
+    column = panel.b
+    before = stack.index()
+    for box in (column.controls["nodes"], column.controls["pressure_scale"]):
+        box.setFocus()
+        for _ in range(4):
+            driver.bot.keyClick(box, Qt.Key.Key_Up)
+    assert column.controls["nodes"].value() == 400 and stack.index() == before + 2
+    driver.undo(column.controls["nodes"])
+    assert column.controls["nodes"].value() == 400
+    assert column.setting.options.pressure_scale == EstimatorOptions().pressure_scale
+    driver.undo(column.controls["nodes"])
+    assert column.controls["nodes"].value() == 0
 
 
 @pytest.mark.long
@@ -245,50 +290,3 @@ def test_controls_follow_undo(drive):
         assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
         driver.undo()
         assert settled() == before, name
-
-
-def test_undo_of_a_dropped_object_and_of_compared_settings(drive, tmp_path, monkeypatch):
-    driver = drive(frame=6)
-    driver.window.use_scene(load_scene("calibrate"))
-    driver.wait_until_shown()
-    for name in ("cylinder", "frustum"):
-        shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
-        driver.window.open_file(tmp_path / f"{name}.ply")
-        driver.wait(lambda name=name: driver.window.pose.session.obj is not None
-                    and driver.window.pose.session.obj.name == name)  # fmt: skip
-    assert driver.window.undo_stack.index() == 3
-    driver.wait_until_shown()
-    drawn = driver.window.scene.object  # drawn as not found yet
-    assert drawn.actor.GetVisibility() and drawn.actor.prop.color.hex_rgb == NEUTRAL
-    driver.undo()
-    driver.wait(lambda: driver.window.pose.session.obj.name == "cylinder")
-    driver.wait(lambda: driver.window.pose.object.currentText() == "cylinder.ply")
-    driver.undo()
-    driver.wait(lambda: driver.window.pose.session.obj is None)
-    assert driver.window.panels["pose"].isHidden()
-    driver.redo()
-    driver.wait(lambda: driver.window.pose.session.obj is not None)
-    # compared settings are undone in their boxes
-    driver.show("compare")
-    panel = driver.window.compare
-    driver.type(panel.b.controls["nodes"], "300")
-    driver.wait(lambda: panel.b.setting.options.nodes == 300)
-    driver.undo(panel.b.controls["nodes"])
-    assert panel.b.controls["nodes"].value() == 0 and panel.b.setting.options.nodes is None
-    assert panel.b.setting.options == EstimatorOptions("linear")
-    assert panel.a.setting.options == EstimatorOptions()  # the defaults are the estimator's
-
-    # a pressed arrow is one step, however slow the machine
-    monkeypatch.setattr(undo_module, "GESTURE_S", math.inf)
-    column, stack = panel.b, driver.window.undo_stack
-    before = stack.index()
-    for box in (column.controls["nodes"], column.controls["pressure_scale"]):
-        box.setFocus()
-        for _ in range(4):
-            driver.bot.keyClick(box, Qt.Key.Key_Up)
-    assert column.controls["nodes"].value() == 400 and stack.index() == before + 2
-    driver.undo(column.controls["nodes"])
-    assert column.controls["nodes"].value() == 400
-    assert column.setting.options.pressure_scale == EstimatorOptions().pressure_scale
-    driver.undo(column.controls["nodes"])
-    assert column.controls["nodes"].value() == 0

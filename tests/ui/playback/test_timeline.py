@@ -33,30 +33,6 @@ def drag(driver, first, last, y):
     driver.drag(timeline, *(at(timeline, frame, y) for frame in (first, (first + last) // 2, last)))
 
 
-def test_contacts_are_listed_and_clicked(drive):
-    driver = drive(DentSource)
-    driver.trigger("Playback › Contacts")
-    dialog = driver.window.findChild(ContactsDialog)
-    table = dialog.table
-    driver.pass_by(range(FRAMES - 2))
-    driver.wait(lambda: table.rowCount() == 1 and "2 frames" in dialog.note.text())
-    driver.window.controller.analysis.start()
-    driver.wait(lambda: not dialog.note.isVisible())
-    force = driver.state.history.values["force_n"]
-    pressed, times = np.flatnonzero(force > 0.0), driver.state.facts.times_s
-    first, last, largest = pressed[0], pressed[-1], int(force.argmax())
-    assert [table.item(0, column).text() for column in range(table.columnCount())] == [
-        f"{times[first]:.3f} s",
-        f"{times[last] - times[first]:.3f} s",
-        f"{first}–{last}",
-        f"{force[largest]:.2f} N in frame {largest}",
-    ]
-    place = table.visualItemRect(table.item(0, 2)).center()
-    driver.click(table.viewport(), place)
-    assert driver.state.frame == largest
-    dialog.close()
-
-
 def test_contacts_are_parted_by_frames_without_contact_alone():
     history = FrameHistory(12)
     history.contact[:] = [0, 1, 1, -1, 1, 0, 0, 2, 1, 2, 1, -1]
@@ -66,7 +42,7 @@ def test_contacts_are_parted_by_frames_without_contact_alone():
     assert FrameHistory(3).contacts() == ()
 
 
-def test_contact_shading_seeking_and_range_by_clicks_and_drags(drive, monkeypatch):
+def test_contacts_ranges_gaps_and_markers_by_clicks_and_drags(drive, sensor, monkeypatch):
     driver = drive(DentSource)
     assert not driver.window.playback.freeze.isVisible()  # only for live sources
     driver.key(Qt.Key.Key_F)
@@ -142,11 +118,32 @@ def test_contact_shading_seeking_and_range_by_clicks_and_drags(drive, monkeypatc
     assert driver.state.play_range is None and not driver.state.settings.loop
     driver.key(Qt.Key.Key_Z, CTRL | SHIFT)
     assert driver.state.play_range == (3, 6) and driver.state.settings.loop
-
-
-def test_gaps_and_markers_are_drawn(drive):
-    driver = drive(GappySource)
-    timeline = driver.window.playback.timeline
+    # contacts are listed and clicked
+    driver.key(Qt.Key.Key_Backspace)
+    driver.choose(kappa=None)
+    driver.show_source(DentSource, sensor)
+    driver.trigger("Playback › Contacts")
+    dialog = driver.window.findChild(ContactsDialog)
+    table = dialog.table
+    driver.pass_by(range(FRAMES - 2))
+    driver.wait(lambda: table.rowCount() == 1 and "2 frames" in dialog.note.text())
+    driver.window.controller.analysis.start()
+    driver.wait(lambda: not dialog.note.isVisible())
+    force = driver.state.history.values["force_n"]
+    pressed, times = np.flatnonzero(force > 0.0), driver.state.facts.times_s
+    first, last, largest = pressed[0], pressed[-1], int(force.argmax())
+    assert [table.item(0, column).text() for column in range(table.columnCount())] == [
+        f"{times[first]:.3f} s",
+        f"{times[last] - times[first]:.3f} s",
+        f"{first}–{last}",
+        f"{force[largest]:.2f} N in frame {largest}",
+    ]
+    place = table.visualItemRect(table.item(0, 2)).center()
+    driver.click(table.viewport(), place)
+    assert driver.state.frame == largest
+    dialog.close()
+    # gaps and markers are drawn
+    driver.show_source(GappySource, sensor)
     assert [(g.after_frame, g.missing) for g in driver.state.facts.gaps] == [(5, 3)]
     before = painted(timeline)
     red = np.flatnonzero(np.all(before == rgb(theme.GAP), axis=2).any(axis=0))
@@ -227,7 +224,7 @@ def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     assert not driver.state.settings.loop and not panel.loop.isChecked()
 
 
-def test_every_frame_mode_waits_for_the_solver(drive):
+def test_every_frame_mode_waits_for_the_solver_else_the_drawn_frame_is_indicated(drive, sensor):
     slow = partial(DentSource, slow_s=0.04)  # slower than the fastest speed
     driver = drive(slow)
     solved: list[int] = []
@@ -238,10 +235,9 @@ def test_every_frame_mode_waits_for_the_solver(drive):
     driver.wait_until_shown()
     assert solved == [*range(1, FRAMES), FRAMES - 1]  # the last one again, as a cold solve
     assert driver.window.controller.dropped == 0
-
-
-def test_during_playback_the_drawn_frame_is_indicated_and_marked(drive):
-    driver = drive(partial(DentSource, slow_s=0.1))
+    # without it, the drawn frame is indicated and marked
+    driver.state.change(every_frame=False, speed=1.0)
+    driver.show_source(partial(DentSource, slow_s=0.1), sensor)
     state, shown = driver.state, driver.window.controller
     state.set_playing(True)
     driver.wait(lambda: state.frame > shown.result.frame.index > 0)

@@ -129,24 +129,7 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     bench.wait_for_message("double.toml: exists already")
 
 
-def test_depth_noise_has_three_digits_and_a_preset_is_labelled(drive, left):
-    sensor = load_sensor(left)
-    driver = drive(DentSource, sensor=changed(sensor, camera={"noise_relative": 0.000643}))
-    driver.show("sensor")
-    panel = driver.window.sensor
-    row = panel.rows["camera.noise_relative"]
-    driver.wait(row.isVisible)
-    assert row.shown.text() == "0.0643 % of the range"
-    driver.click(panel.edit)
-    assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
-    assert row.unit.isVisible()
-    driver.click(panel.cancel)
-    driver.open("dent", DentSource, load_sensor("pico_flexx_75mm"), playing=False)
-    driver.wait(lambda: "soft-bubble pico flexx (preset)" in driver.window.windowTitle())
-    assert driver.window.sensor.file.text() == "preset"
-
-
-def test_changed_sensor_file_is_reported_and_reloaded(bench, left):
+def test_changed_sensor_file_is_reported_and_reloaded_and_a_preset_is_labelled(bench, left):
     message, text = bench.window.message, left.read_text()
     left.write_text(text.replace("by hand", "by hand, tidied"))  # says the same
     new = left.with_suffix(".new")
@@ -177,3 +160,17 @@ def test_changed_sensor_file_is_reported_and_reloaded(bench, left):
     right = dock.mapTo(bench.window, dock.rect().bottomRight())
     assert right.x() <= 1016 and right.y() <= 660
     assert dock.height() > 250
+    # noise of depth has three digits, and a preset is labelled
+    panel, other = bench.panel, changed(load_sensor(left), camera={"noise_relative": 0.000643})
+    bench.open("dent", DentSource, other, playing=False)
+    bench.wait(lambda: bench.sensor.camera.noise_relative == 0.000643)
+    row = panel.rows["camera.noise_relative"]
+    bench.wait(row.isVisible)
+    assert row.shown.text() == "0.0643 % of the range"
+    bench.click(panel.edit)
+    assert row.box.text() == "0.000643" and row.unit.text() == "of the range"
+    assert row.unit.isVisible()
+    bench.click(panel.cancel)
+    bench.open("dent", DentSource, load_sensor("pico_flexx_75mm"), playing=False)
+    bench.wait(lambda: "soft-bubble pico flexx (preset)" in bench.window.windowTitle())
+    assert panel.file.text() == "preset"
