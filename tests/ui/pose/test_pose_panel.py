@@ -26,6 +26,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.pose import pose_panel
 from bubbleviz_ui.pose.pose_panel import Curves
@@ -105,7 +106,7 @@ def bench(drive, source):
     made.release()
 
 
-def test_fit_once_shows_object_and_quality_and_copies_the_pose(bench):
+def test_fit_once_from_the_initial_pose_shows_object_and_quality_and_copies_the_pose(bench):
     assert bench.green() == 0
     assert not bench.panel.once.isEnabled()
     bench.choose_object("frustum")
@@ -160,11 +161,10 @@ def test_fit_once_shows_object_and_quality_and_copies_the_pose(bench):
     bench.fit()
     assert bench.result.patch.area_m2 == 0.0
     assert panel.session.pose is None or panel.session.pose.stage_two is None
-
-
-def test_initial_pose_is_moved_or_typed_and_reset_discards_poses(bench):
-    bench.choose_object("frustum")
-    panel = bench.panel
+    # the initial pose is moved or typed, and reset discards poses
+    bench.state.change(least_area_m2=Settings().least_area_m2, length_unit="mm")
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
+    bench.wait(lambda: bench.text("state") == "not fitted yet")
     bench.click(bench.panel.move_in_view)
     bench.wait_until_shown()
     gizmo, view = bench.window.overlay.gizmo, bench.window.view
@@ -203,7 +203,19 @@ def test_initial_pose_is_moved_or_typed_and_reset_discards_poses(bench):
     bench.wait(lambda: bench.text("state") == "not fitted yet")
 
 
-def test_tracking_export_and_undo_of_reset(bench, tmp_path, monkeypatch):
+def lose(monkeypatch, lost):
+    """Insert a frame without depth."""
+    seen = SyntheticSource.__getitem__
+
+    def blinded(source, index):
+        frame = seen(source, index)
+        blank = np.full_like(frame.depth_m, np.nan)
+        return replace(frame, depth_m=blank) if index == lost else frame
+
+    monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
+
+
+def test_tracking_export_undo_of_reset_and_curves(bench, source, tmp_path, monkeypatch):
     bench.choose_object("frustum")
     counts = bench.pipeline.counts
     bench.seek(1)
@@ -252,6 +264,31 @@ def test_tracking_export_and_undo_of_reset(bench, tmp_path, monkeypatch):
     bench.state.change(layers=frozenset({"membrane"}))
     bench.seek(1)
     assert counts["pose"] == ran
+    # curves break at lost and skipped frames
+    bench.show("pose")
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
+    lose(monkeypatch, 1)
+    bench.show_source(lambda _: source)
+    bench.click(bench.panel.track)
+    bench.wait(lambda: 0 in session.rows)
+    for frame in (1, 2, 4):
+        bench.seek(frame)
+        bench.wait(lambda frame=frame: frame in session.rows)
+        assert bench.drawn() == (GAP if frame == 1 else AMBER)
+        bench.wait(lambda: no_pending_timers(bench.panel))
+        curves = bench.panel.findChild(Curves)
+        for curve in (*curves.frames, *curves.iterations):  # lost pose: no value, no curve
+            assert (f" {DASH}<" in curve.frame.text or curve.frame.text.count(" ") == 1) == (
+                frame == 1
+            )
+        for curve in curves.iterations:
+            drawn = curve.line.getOriginalDataset()[1]
+            assert (drawn is None or len(drawn) == 0) == (frame == 1)
+    assert [row["status"] for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
+    for curve in curves.frames:
+        drawn = curve.line.getOriginalDataset()[1]
+        assert np.isfinite(drawn).tolist() == [True, False, True, False, True]
+        assert curve.line.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
 
 
 def test_patch_by_the_object_is_shown_with_the_patch_and_follows_the_pose(bench):
@@ -294,35 +331,20 @@ def outlined(driver):
     return bool(white > 40), bool(green > 40)
 
 
-def test_pose_curves_break_at_lost_and_skipped_frames(bench, monkeypatch):
-    lose(monkeypatch, 1)
-    bench.choose_object("frustum")
-    bench.click(bench.panel.track)
-    session = bench.panel.session
-    bench.wait(lambda: 0 in session.rows)
-    for frame in (1, 2, 4):
-        bench.seek(frame)
-        bench.wait(lambda frame=frame: frame in session.rows)
-        assert bench.drawn() == (GAP if frame == 1 else AMBER)
-        bench.wait(lambda: no_pending_timers(bench.panel))
-        curves = bench.panel.findChild(Curves)
-        for curve in (*curves.frames, *curves.iterations):  # lost pose: no value, no curve
-            assert (f" {DASH}<" in curve.frame.text or curve.frame.text.count(" ") == 1) == (
-                frame == 1
-            )
-        for curve in curves.iterations:
-            drawn = curve.line.getOriginalDataset()[1]
-            assert (drawn is None or len(drawn) == 0) == (frame == 1)
-    assert [row["status"] for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
-    for curve in curves.frames:
-        drawn = curve.line.getOriginalDataset()[1]
-        assert np.isfinite(drawn).tolist() == [True, False, True, False, True]
-        assert curve.line.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
-
-
-def test_rejected_or_removed_object_takes_its_fit_patch_and_tracking_with_it(bench, tmp_path):
+def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_small_screen(
+    bench, tmp_path
+):
     flat = tmp_path / "flat.obj"
     flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
+    path = tmp_path / "mine.ply"
+    shutil.copy(presets_folder("objects") / "cylinder.ply", path)
+    bench.drop(path, on=bench.panel)
+    bench.wait(lambda: bench.panel.session.obj is not None)
+    assert bench.panel.session.obj.name == "mine"
+    bench.drop(flat, on=bench.panel)
+    bench.wait(lambda: "no area" in bench.window.message.label.text())
+    bench.wait(lambda: bench.panel.session.obj is None)
+    assert not bench.panel.once.isEnabled()
     fit = bench.window.scene.layers["fit"]
     panel, session = bench.panel, bench.panel.session
     bench.state.set_layer_visible("object_patch", True)
@@ -356,32 +378,6 @@ def test_rejected_or_removed_object_takes_its_fit_patch_and_tracking_with_it(ben
     # undo restores object and tracking
     bench.undo()
     bench.wait(lambda: session.obj is not None and panel.track.isChecked())
-
-
-def lose(monkeypatch, lost):
-    """Insert a frame without depth."""
-    seen = SyntheticSource.__getitem__
-
-    def blinded(source, index):
-        frame = seen(source, index)
-        blank = np.full_like(frame.depth_m, np.nan)
-        return replace(frame, depth_m=blank) if index == lost else frame
-
-    monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
-
-
-def test_dropped_mesh_is_the_object_and_curves_fit_a_small_screen(bench, tmp_path):
-    path = tmp_path / "mine.ply"
-    shutil.copy(presets_folder("objects") / "cylinder.ply", path)
-    bench.drop(path, on=bench.panel)
-    bench.wait(lambda: bench.panel.session.obj is not None)
-    assert bench.panel.session.obj.name == "mine"
-    flat = tmp_path / "flat.obj"
-    flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
-    bench.drop(flat, on=bench.panel)
-    bench.wait(lambda: "no area" in bench.window.message.label.text())
-    bench.wait(lambda: bench.panel.session.obj is None)
-    assert not bench.panel.once.isEnabled()
     # curves fit a small screen, and RMSE is in the unit of length
     bench.choose_object("two_spheres")  # the frustum is pressed
     bench.fit()

@@ -53,7 +53,7 @@ def test_traction_is_requested_only_by_what_shows_it():
         assert Demand.of(settings).covers(other) is same
 
 
-def test_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
+def test_hidden_panel_and_flow_image_compute_nothing_and_the_scene_opens_it(drive, rubber):
     driver, source = opened(drive, rubber)
     driver.seek(3)
     counts = driver.pipeline.counts
@@ -74,6 +74,35 @@ def test_hidden_panel_computes_nothing_and_its_scene_opens_it(drive, rubber):
     driver.wait(lambda: driver.window.shear.copy.isEnabled())
     driver.click(driver.window.shear.copy)
     assert clipboard_text().startswith("frame 5, 0.167 s\nstatus: ")
+    pytest.importorskip("cv2")
+    # the same for the image of the flow
+    driver.window.use_scene(load_scene("press"))
+    source = SpeckledSource(rubber)
+    driver.show_source(lambda _: source, rubber)
+    driver.state.change(images=frozenset({"flow"}))
+    driver.seek(1)
+    assert source.decoded == 0 and not {"flow", "diagnose flow"} & set(driver.pipeline.counts)
+    driver.show("images")
+    driver.wait(lambda: "images" in driver.state.settings.panels)
+    driver.wait(lambda: bool(driver.window.images.cells))
+    cell = driver.window.images.cells["flow"]
+    driver.wait(lambda: "images without contact: 1 of" in cell.text.replace("<br>", " "))
+    driver.pass_by(range(2, COLLECTED + 2))
+    driver.wait(lambda: cell.image is not None)
+    driver.wait_until_shown()
+    flow, width = driver.result.flow, rubber.camera.width
+    assert cell.image.shape == (rubber.camera.height // 8, width // 8)
+    assert np.isfinite(cell.image).sum() == len(flow.pixel) > 20
+    row, column = np.divmod(flow.pixel[7], width)
+    assert cell.image[row // 8, column // 8] == np.hypot(*flow.moved_px[7])
+    assert cell.text.startswith("Optical flow") and cell.text.endswith(" px")
+    assert driver.pipeline.counts["traction"] == 0  # not requested
+    driver.window.panels["images"].hide()
+    driver.wait(lambda: "images" not in driver.state.settings.panels)
+    driver.seek(2)
+    before = driver.pipeline.counts["flow"], source.decoded
+    driver.seek(3)
+    assert (driver.pipeline.counts["flow"], source.decoded) == before
 
 
 def test_contact_free_live_frames_are_the_reference(drive, rubber):
@@ -102,7 +131,9 @@ def test_contact_free_live_frames_are_the_reference(drive, rubber):
     driver.wait(lambda: f"1 of {COLLECTED}" in panel.reference.text())
 
 
-def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_path):
+def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
+    drive, rubber, sensor, tmp_path
+):
     pytest.importorskip("cv2")
     driver, _ = opened(drive, rubber, info=False)
     shown(driver)
@@ -133,86 +164,7 @@ def test_reason_for_shear_from_depth_alone_is_shown(drive, rubber, sensor, tmp_p
     driver.seek(2)
     assert driver.result.estimate is not None
     assert driver.pipeline.counts["traction"] == 0 and not panel.copy.isEnabled()
-
-
-def test_flow_image_is_shown_and_not_computed_while_hidden(drive, rubber):
-    pytest.importorskip("cv2")
-    driver, source = opened(drive, rubber)
-    driver.state.change(images=frozenset({"flow"}))
-    driver.seek(1)
-    assert source.decoded == 0 and not {"flow", "diagnose flow"} & set(driver.pipeline.counts)
-    driver.show("images")
-    driver.wait(lambda: "images" in driver.state.settings.panels)
-    driver.wait(lambda: bool(driver.window.images.cells))
-    cell = driver.window.images.cells["flow"]
-    driver.wait(lambda: "images without contact: 1 of" in cell.text.replace("<br>", " "))
-    driver.pass_by(range(2, COLLECTED + 2))
-    driver.wait(lambda: cell.image is not None)
-    driver.wait_until_shown()
-    flow, width = driver.result.flow, rubber.camera.width
-    assert cell.image.shape == (rubber.camera.height // 8, width // 8)
-    assert np.isfinite(cell.image).sum() == len(flow.pixel) > 20
-    row, column = np.divmod(flow.pixel[7], width)
-    assert cell.image[row // 8, column // 8] == np.hypot(*flow.moved_px[7])
-    assert cell.text.startswith("Optical flow") and cell.text.endswith(" px")
-    assert driver.pipeline.counts["traction"] == 0  # not requested
-    driver.window.panels["images"].hide()
-    driver.wait(lambda: "images" not in driver.state.settings.panels)
-    driver.seek(2)
-    before = driver.pipeline.counts["flow"], source.decoded
-    driver.seek(3)
-    assert (driver.pipeline.counts["flow"], source.decoded) == before
-
-
-class PressedSpeckles(SpeckledSource):
-    """With contact in the last frame."""
-
-    def __getitem__(self, index):
-        frame = super().__getitem__(index)
-        if index < len(self) - 1:
-            return frame
-        return replace(frame, depth_m=DentSource.__getitem__(self, FIRST_CONTACT + 5).depth_m)
-
-
-def test_use_of_colour_is_said_beside_the_force_and_in_compare(drive, rubber):
-    pytest.importorskip("cv2")
-    source = PressedSpeckles(rubber)
-    driver = drive(open_source=lambda _: source, sensor=rubber)
-    panel, layers = driver.window.compare, driver.state.settings.layers
-    driver.state.change(layers=layers | {"traction"})
-    driver.pass_by(range(COLLECTED + 1))
-    driver.seek(len(source) - 1)
-    details = lambda: next(t for t in view_texts(driver) if t.startswith("peak"))  # noqa: E731
-    assert "by depth and colour" in details()
-    driver.show("compare")
-    driver.wait(lambda: panel.a.values["status"].text() == "ok")
-    assert panel.hint.text().startswith("This panel solves by depth alone")
-    driver.choose(layers=layers)
-    driver.seek(0)
-    driver.seek(len(source) - 1)
-    assert "colour" not in details()
-    driver.wait(lambda: "colour" not in panel.hint.text())
-
-
-def dragged(driver, status="ok"):
-    """The result shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
-    result = driver.result
-    mesh = driver.pipeline.mesh
-    top = np.argsort(np.linalg.norm(mesh.nodes[:, :2], axis=1))[:3]
-    normal, along = np.zeros(mesh.nodes.shape), np.zeros(mesh.nodes.shape)
-    normal[top, 2], along[top, 0] = -1.0, 0.5
-    force = normal + along
-    covariance = np.diag([0.01] * 3 + [1e-8] * 3)
-    traction = Traction(
-        status, force, normal, along, 1e3 * force, mesh.nodes, 1e-3 * along, mesh.nodes[top[0]],
-        covariance, 1e-5, reason="" if status == "ok" else "no texture",
-    )  # fmt: skip
-    slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.4, 0.1)
-    return replace(result, traction=traction, slip=slip)
-
-
-def test_arrows_numbers_with_intervals_and_flow_preset(drive, sensor, qtbot):
-    driver, _ = opened(drive, sensor)
+    # arrows, and numbers with intervals
     settings = replace(driver.state.settings, layers=frozenset({"membrane", "traction"}))
     layer = driver.window.scene.layers["traction"]
     ways = []
@@ -244,6 +196,33 @@ def test_arrows_numbers_with_intervals_and_flow_preset(drive, sensor, qtbot):
     assert driver.state.settings.flow_preset == "fast"
 
 
+class PressedSpeckles(SpeckledSource):
+    """With contact in the last frame."""
+
+    def __getitem__(self, index):
+        frame = super().__getitem__(index)
+        if index < len(self) - 1:
+            return frame
+        return replace(frame, depth_m=DentSource.__getitem__(self, FIRST_CONTACT + 5).depth_m)
+
+
+def dragged(driver, status="ok"):
+    """The result shown, with three nodes pressed by 1 N and dragged by 0.5 N each."""
+    result = driver.result
+    mesh = driver.pipeline.mesh
+    top = np.argsort(np.linalg.norm(mesh.nodes[:, :2], axis=1))[:3]
+    normal, along = np.zeros(mesh.nodes.shape), np.zeros(mesh.nodes.shape)
+    normal[top, 2], along[top, 0] = -1.0, 0.5
+    force = normal + along
+    covariance = np.diag([0.01] * 3 + [1e-8] * 3)
+    traction = Traction(
+        status, force, normal, along, 1e3 * force, mesh.nodes, 1e-3 * along, mesh.nodes[top[0]],
+        covariance, 1e-5, reason="" if status == "ok" else "no texture",
+    )  # fmt: skip
+    slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.4, 0.1)
+    return replace(result, traction=traction, slip=slip)
+
+
 def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     plot = ShearPlot()
     qtbot.addWidget(plot)
@@ -257,7 +236,7 @@ def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     plot.close_canvas()
 
 
-def test_a_frame_has_one_force_whatever_was_shown_before(drive, rubber):
+def test_a_frame_has_one_force_whatever_was_shown_before_and_says_if_of_colour(drive, rubber):
     pytest.importorskip("cv2")
     source = PressedSpeckles(rubber)
     driver = drive(open_source=lambda _: source, sensor=rubber, frame=len(source) - 1)
@@ -286,3 +265,21 @@ def test_a_frame_has_one_force_whatever_was_shown_before(drive, rubber):
     driver.state.set_playing(True)
     driver.wait(lambda: panel.values["force"].text().startswith("≈"))
     assert not panel.copy.isEnabled()
+    # use of colour is said beside the force and in Compare
+    driver.state.set_playing(False)
+    window.panels["shear"].close()
+    driver.show_source(lambda _: PressedSpeckles(rubber), rubber)
+    panel, layers = driver.window.compare, driver.state.settings.layers
+    driver.state.change(layers=layers | {"traction"})
+    driver.pass_by(range(COLLECTED + 1))
+    driver.seek(len(source) - 1)
+    details = lambda: next(t for t in view_texts(driver) if t.startswith("peak"))  # noqa: E731
+    assert "by depth and colour" in details()
+    driver.show("compare")
+    driver.wait(lambda: panel.a.values["status"].text() == "ok")
+    assert panel.hint.text().startswith("This panel solves by depth alone")
+    driver.choose(layers=layers)
+    driver.seek(0)
+    driver.seek(len(source) - 1)
+    assert "colour" not in details()
+    driver.wait(lambda: "colour" not in panel.hint.text())
