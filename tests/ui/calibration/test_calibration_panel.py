@@ -24,55 +24,8 @@ from bubbleviz_ui.model.units import DASH
 from tests.small_press import changed
 
 
-def test_steps_up_to_gamma0_with_undo_and_redo(bench):
-    panel = bench.panel
-    assert not panel.strip.isVisible()
-    bench.click(panel.next)
-    assert abs(bench.found.ranges[0][1] - REST) <= 3 and panel.strip.isVisible()
-    for step in (Step.PIXELS, Step.SURFACE, Step.TENSION):
-        bench.click(panel.next)
-        assert bench.answer.work.settings.last_step == step
-        assert panel.page.view.image is not None
-        assert panel.stack.currentWidget().horizontalScrollBar().maximum() == 0
-    estimate = bench.found.material
-    value, half = estimate.tension.value, estimate.tension.half_width
-    assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"
-    assert estimate.tension.low < TENSION < estimate.tension.high
-    assert value == pytest.approx(TENSION, rel=0.01)
-    assert panel.verdict.isVisible() and f"{value:.1f} N/m" in panel.verdict.text()
-    gauge = estimate.gauge.value
-    for system, text, more in (
-        ("psi", f"{gauge / 6894.757:.4f} psi", "0.0145 psi more"),
-        ("kPa", f"{gauge:.0f} Pa", "100 Pa more"),
-    ):
-        with bench.window.undo_recorder.unrecorded():
-            bench.state.change(pressure_unit=system)
-        assert f"at {text} gauge pressure" in panel.verdict.text()
-        assert panel.tension.numbers.text("gauge pressure") == text
-        assert panel.tension.numbers.text("γ0 per gauge pressure").endswith(more)
-    last = bench.answer
-    for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
-        bench.undo()
-        assert panel.calibration.settings.last_step == step
-        assert not bench.found.complete and not panel.verdict.isVisible()
-    assert not panel.strip.isVisible()
-    panel.go_to(3)
-    assert panel.tension.numbers.text("95 % interval") == DASH
-    for _ in range(4):
-        bench.redo()
-    assert bench.answer.work == last.work
-    assert bench.found.material.tension == last.found.material.tension
-    # undo while the number box has the focus
-    bench.step(2)
-    nodes = panel.surface.nodes
-    bench.type(nodes, "300")
-    bench.done()
-    assert panel.calibration.settings.nodes == 300
-    bench.undo(nodes)
-    assert panel.calibration.settings.nodes == 200 == nodes.value()
-
-
-def test_range_ends_are_moved_by_mouse_and_keys(bench):
+def test_frames_are_chosen_by_mouse_and_keys_removed_and_replaced(bench):
+    # ends of ranges are moved by mouse and keys
     panel, strip = bench.panel, bench.panel.strip
     bench.click(panel.next)
     assert (panel.frames.first.value(), panel.frames.last.value() + 1) == bench.found.ranges[0]
@@ -102,12 +55,11 @@ def test_range_ends_are_moved_by_mouse_and_keys(bench):
         bench.key(key, PLAIN, strip)
         assert bench.found.ranges == ranges
     assert bench.state.frame == frame and not bench.state.playing
-
-
-def test_frames_are_removed_and_replaced(bench):
-    """Results follow the frames; settings of later steps are kept."""
+    for _ in range(3):
+        bench.undo()
+    # results follow the frames; settings of later steps are kept
     bench.identify()
-    panel, frames, before = bench.panel, bench.panel.frames, bench.found
+    frames, before = panel.frames, bench.found
     bench.step(2)
     panel.surface.nodes.setValue(150)
     bench.done()
@@ -163,7 +115,7 @@ def test_cancel_restores_the_previous_state(drive):
     assert bench.window.undo_stack.index() == index + 1  # the cancelled job had no effect
 
 
-def test_each_step_shows_name_state_task_and_errors(bench):
+def test_each_step_shows_name_state_task_and_errors_and_begins_anew_with_a_recording(bench):
     panel = bench.panel
     tips = lambda: [panel.steps.button(k).toolTip() for k in range(7)]  # noqa: E731
     assert all(tip.endswith(": to do") for tip in tips())
@@ -186,18 +138,13 @@ def test_each_step_shows_name_state_task_and_errors(bench):
     bench.click(panel.all)
     assert not panel.all.isVisible() and tips()[3] == "γ0: done"
     assert panel.next.text() == "Next: Reference surface"  # computed already
-
-
-def test_another_recording_starts_without_results(bench):
-    panel = bench.panel
-    for _ in range(2):
-        bench.click(panel.next)
+    # another recording starts without results
+    bench.undo()
     assert panel.pixels.numbers.text("used") != DASH
     panel.frames.set_ranges(((0, 3),), "Too few")
     bench.done()
     assert panel.steps.button(0).toolTip().endswith("needs attention")
-    bench.open("dent", DentSource, small_sensor(), playing=False)
-    bench.wait(lambda: bench.state.facts.title == "dent")
+    bench.show_source(DentSource, small_sensor())
     assert not bench.window.message.isVisible()
     assert panel.steps.button(0).toolTip().endswith("to do")
     assert panel.pixels.numbers.text("used") == DASH
@@ -207,9 +154,56 @@ def test_another_recording_starts_without_results(bench):
     panel.calibration.cancel()
 
 
-def test_report_is_saved_and_thresholds_change_only_the_mask(bench, tmp_path, monkeypatch):
-    bench.identify()
-    panel, report, out = bench.panel, bench.panel.report, tmp_path / "mine.toml"
+def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only_the_mask(
+    bench, tmp_path, monkeypatch
+):
+    panel = bench.panel
+    assert not panel.strip.isVisible()
+    bench.click(panel.next)
+    assert abs(bench.found.ranges[0][1] - REST) <= 3 and panel.strip.isVisible()
+    for step in (Step.PIXELS, Step.SURFACE, Step.TENSION):
+        bench.click(panel.next)
+        assert bench.answer.work.settings.last_step == step
+        assert panel.page.view.image is not None
+        assert panel.stack.currentWidget().horizontalScrollBar().maximum() == 0
+    estimate = bench.found.material
+    value, half = estimate.tension.value, estimate.tension.half_width
+    assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"
+    assert estimate.tension.low < TENSION < estimate.tension.high
+    assert value == pytest.approx(TENSION, rel=0.01)
+    assert panel.verdict.isVisible() and f"{value:.1f} N/m" in panel.verdict.text()
+    gauge = estimate.gauge.value
+    for system, text, more in (
+        ("psi", f"{gauge / 6894.757:.4f} psi", "0.0145 psi more"),
+        ("kPa", f"{gauge:.0f} Pa", "100 Pa more"),
+    ):
+        with bench.window.undo_recorder.unrecorded():
+            bench.state.change(pressure_unit=system)
+        assert f"at {text} gauge pressure" in panel.verdict.text()
+        assert panel.tension.numbers.text("gauge pressure") == text
+        assert panel.tension.numbers.text("γ0 per gauge pressure").endswith(more)
+    last = bench.answer
+    for step in (Step.SURFACE, Step.PIXELS, Step.FRAMES, Step.START):
+        bench.undo()
+        assert panel.calibration.settings.last_step == step
+        assert not bench.found.complete and not panel.verdict.isVisible()
+    assert not panel.strip.isVisible()
+    panel.go_to(3)
+    assert panel.tension.numbers.text("95 % interval") == DASH
+    for _ in range(4):
+        bench.redo()
+    assert bench.answer.work == last.work
+    assert bench.found.material.tension == last.found.material.tension
+    # undo while the number box has the focus
+    bench.step(2)
+    nodes = panel.surface.nodes
+    bench.type(nodes, "300")
+    bench.done()
+    assert panel.calibration.settings.nodes == 300
+    bench.undo(nodes)
+    assert panel.calibration.settings.nodes == 200 == nodes.value()
+    # a report is saved
+    report, out = panel.report, tmp_path / "mine.toml"
     bench.step(len(panel.pages) - 1)
     for height in (1000, 660):  # the buttons are visible
         bench.resize(1016, height)
@@ -287,9 +281,16 @@ def make_small(bench):
     assert bench.size == size
 
 
-def test_wheel_over_a_picture_scrolls_its_page_and_zooms_after_a_click(bench):
-    bench.click(bench.panel.next)
-    bench.click(bench.panel.next)
+def test_a_low_window_shows_a_part_of_each_page_and_the_wheel_scrolls_it(bench):
+    """1024×700 pixels at 150 %, with the verdict and the ranges below the timeline."""
+    bench.identify()
+    make_small(bench)
+    for number in range(len(bench.panel.pages)):
+        bench.step(number)
+        area = bench.panel.stack.currentWidget()
+        assert area.isVisible() and area.viewport().height() > 90, number
+    # the wheel over a picture scrolls its page, and zooms after a click
+    bench.step(1)
     make_small(bench)
     picture = bench.panel.page.view.findChild(QGraphicsView)
     canvas = picture.viewport()
@@ -307,16 +308,6 @@ def test_wheel_over_a_picture_scrolls_its_page_and_zooms_after_a_click(bench):
     bench.bot.mouseClick(canvas, LEFT, pos=place)
     turn_wheel(canvas, 1, place)
     assert bar.value() == 0 and box.viewRange() != before
-
-
-def test_a_low_window_shows_a_part_of_each_page(bench):
-    """1024×700 pixels at 150 %, with the verdict and the ranges below the timeline."""
-    bench.identify()
-    make_small(bench)
-    for number in range(len(bench.panel.pages)):
-        bench.step(number)
-        area = bench.panel.stack.currentWidget()
-        assert area.isVisible() and area.viewport().height() > 90, number
 
 
 def test_panel_takes_the_free_height_and_level_controls_are_visible(drive):

@@ -103,7 +103,9 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     other = drive(Source.of_recording(folder / "other.mcap"))
     other.state.change(layers=frozenset({"rim"}))
     other.window.session_saver.save_as(folder / "look.bubbleviz")
-    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
+    other.window.open_file(folder / "rest.mcap")
+    other.wait(lambda: other.state.facts.title == "rest.mcap")
+    bench = Bench(other)
     bench.identify()
     window, state = bench.window, bench.state
     before = state.settings, window.open_panels.names, state.facts

@@ -63,63 +63,6 @@ def bench(drive, monkeypatch):
     made.release()
 
 
-def test_proposed_names_have_that_of_the_recording(bench, sensor, monkeypatch):
-    source = DentSource(sensor)
-    source.name = "left hand.mcap"
-    bench.open("recording", lambda _: source, sensor, playing=False)
-    bench.wait(lambda: bench.state.facts.title == source.name)
-    asked = []
-    answer = lambda *given, **_: asked.append(given[2]) or (None, "")  # noqa: E731
-    monkeypatch.setattr(export_dialog, "new_file", answer)
-    for title in ("Table", "Membrane series"):
-        bench.pick(bench.dialog.kind, title)
-        bench.click(bench.dialog.export)
-    assert asked == ["left_hand_table.csv", "left_hand_membrane_series"]
-
-
-def test_export_table_of_the_chosen_range_with_poses(bench, tmp_path):
-    state = bench.state
-    state.set_range((3, 8))
-    state.change(kappa=2.0)
-    bench.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
-    assert bench.dialog.step.text() == "one of 2 frames"
-    out = tmp_path / "mine.csv"
-    assert "3 frames" in bench.export("Table", out)
-    with out.open() as file:
-        rows = list(csv.DictReader(file))
-    assert [int(row["frame"]) for row in rows] == [3, 5, 7]
-    bench.pick(bench.dialog.kind, "Plots")
-    assert not bench.dialog.message.text()  # that was of the table
-    assert float(rows[0]["patch_area_m2"]) == 0.0 < float(rows[2]["patch_area_m2"])
-    bench.seek(7)
-    patch = bench.result.patch
-    assert float(rows[2]["threshold_pa"]) == pytest.approx(patch.threshold_pa, rel=0.2)
-    before = out.read_bytes()
-    assert "exists already" in bench.export("Table", out)
-    assert out.read_bytes() == before
-    assert "is no" not in bench.export("Table", tmp_path / "table", "Parquet (*.parquet)")
-    import pyarrow.parquet
-
-    assert pyarrow.parquet.read_table(tmp_path / "table.parquet").num_rows == 3
-    bench.dialog.frames.setCurrentIndex(1)
-    bench.dialog.step.setValue(1)
-    bench.export("Table", tmp_path / "all.csv")
-    assert len((tmp_path / "all.csv").read_text().splitlines()) == FRAMES + 1
-    # poses that were found are in it
-    window = bench.window
-    window.pose.session.choose("cylinder")
-    bench.wait(lambda: window.pose.session.obj is not None)
-    window.pose.session.track(True)
-    bench.seek(8)
-    bench.wait(lambda: 8 in window.pose.session.rows)
-    bench.export("Table", tmp_path / "poses.csv")
-    with (tmp_path / "poses.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    row = window.pose.session.rows[8]
-    assert rows[8]["pose_status"] == row["status"] and not rows[0]["pose_status"]
-    assert np.isclose(float(rows[8]["pose_x_m"]), row["x_m"], equal_nan=True)
-
-
 def test_table_has_the_forces_of_the_window_also_with_colour(drive, monkeypatch, tmp_path):
     pytest.importorskip("cv2")
     press, sensor = write_texture_press(tmp_path, {})
@@ -200,7 +143,9 @@ def pictures(path):
     return [np.frombuffer(p, np.uint8).reshape(height, width, 3) for p in reader]
 
 
-def test_video_contains_each_frame_of_the_range_with_its_caption(bench, tmp_path, monkeypatch):
+def test_video_contains_each_readable_frame_of_the_range_with_its_caption(
+    bench, sensor, tmp_path, monkeypatch
+):
     driver = bench
     driver.state.change(picture_size=(480, 360), speed=0.5)
     driver.state.set_range((2, 10))
@@ -237,6 +182,16 @@ def test_video_contains_each_frame_of_the_range_with_its_caption(bench, tmp_path
     assert np.abs(said.astype(int) - silent)[-24:, 100:-100].max() > 60
     bench.dialog.kind.setCurrentIndex(0)
     assert not bench.dialog.captioned.isVisible()
+    # an unreadable frame ends an export with a message
+    broken, empty = lambda sensor: DentSource(sensor, broken_from=3), tmp_path / "empty"
+    empty.mkdir()
+    bench.show_source(broken, sensor)
+    assert "frame 3 cannot be read" in bench.export("Table", empty / "a.csv")
+    bench.begin("Video of the view", empty / "a.mp4")
+    bench.wait(lambda: not bench.window.exporting.busy)
+    assert "frame 3 cannot be read" in bench.message_text
+    bench.window.exporting.close()
+    assert not list(empty.iterdir())
 
 
 def test_video_shows_the_same_as_the_paused_window(drive, sensor, monkeypatch, tmp_path):
@@ -262,17 +217,6 @@ def test_video_shows_the_same_as_the_paused_window(drive, sensor, monkeypatch, t
         pipeline.converge(source[frame])
         alone = pipeline.process(source[frame], frozenset({"patch"}), options)
         assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
-
-
-def test_unreadable_frame_ends_the_video_with_a_message(drive, monkeypatch, tmp_path):
-    bench = Bench(drive(lambda sensor: DentSource(sensor, broken_from=3)), monkeypatch)
-    bench.state.change(picture_size=(320, 240))
-    assert "frame 3 cannot be read" in bench.export("Table", tmp_path / "a.csv")
-    bench.begin("Video of the view", tmp_path / "a.mp4")
-    bench.wait(lambda: not bench.window.exporting.busy)
-    assert "frame 3 cannot be read" in bench.message_text
-    bench.window.exporting.close()
-    assert not list(tmp_path.iterdir())
 
 
 class SlowSource(DentSource):
@@ -306,7 +250,7 @@ def test_live_source_must_be_recorded_before_export(open_bench, monkeypatch):
     assert not bench.dialog.export.isEnabled()
 
 
-def test_success_removes_the_error_of_an_earlier_export(bench, tmp_path):
+def test_tables_their_names_and_messages(bench, sensor, tmp_path, monkeypatch):
     window, state = bench.window, bench.state
     (tmp_path / "there.csv").write_text("precious")
     state.set_range((3, 4))
@@ -327,6 +271,59 @@ def test_success_removes_the_error_of_an_earlier_export(bench, tmp_path):
     bench.wait(lambda: all(c.height() >= c.minimumSizeHint().height() for c in controls))
     labels = (dialog.about, dialog.message)
     bench.wait(lambda: all(at.height() >= at.heightForWidth(at.width()) for at in labels))
+    # a table of the chosen range, with poses
+    bench.dialog.step.setValue(1)
+    state.set_range((3, 8))
+    state.change(kappa=2.0)
+    bench.bot.keyClick(bench.dialog.step, Qt.Key.Key_Up)
+    assert bench.dialog.step.text() == "one of 2 frames"
+    out = tmp_path / "mine.csv"
+    assert "3 frames" in bench.export("Table", out)
+    with out.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [int(row["frame"]) for row in rows] == [3, 5, 7]
+    bench.pick(bench.dialog.kind, "Plots")
+    assert not bench.dialog.message.text()  # that was of the table
+    assert float(rows[0]["patch_area_m2"]) == 0.0 < float(rows[2]["patch_area_m2"])
+    bench.seek(7)
+    patch = bench.result.patch
+    assert float(rows[2]["threshold_pa"]) == pytest.approx(patch.threshold_pa, rel=0.2)
+    before = out.read_bytes()
+    assert "exists already" in bench.export("Table", out)
+    assert out.read_bytes() == before
+    assert "is no" not in bench.export("Table", tmp_path / "table", "Parquet (*.parquet)")
+    import pyarrow.parquet
+
+    assert pyarrow.parquet.read_table(tmp_path / "table.parquet").num_rows == 3
+    bench.dialog.frames.setCurrentIndex(1)
+    bench.dialog.step.setValue(1)
+    bench.export("Table", tmp_path / "all.csv")
+    assert len((tmp_path / "all.csv").read_text().splitlines()) == FRAMES + 1
+    # poses that were found are in it
+    window = bench.window
+    window.pose.session.choose("cylinder")
+    bench.wait(lambda: window.pose.session.obj is not None)
+    window.pose.session.track(True)
+    bench.seek(8)
+    bench.wait(lambda: 8 in window.pose.session.rows)
+    bench.export("Table", tmp_path / "poses.csv")
+    with (tmp_path / "poses.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    row = window.pose.session.rows[8]
+    assert rows[8]["pose_status"] == row["status"] and not rows[0]["pose_status"]
+    assert np.isclose(float(rows[8]["pose_x_m"]), row["x_m"], equal_nan=True)
+    # proposed names have that of the recording
+    source = DentSource(sensor)
+    source.name = "left hand.mcap"
+    bench.open("recording", lambda _: source, sensor, playing=False)
+    bench.wait(lambda: bench.state.facts.title == source.name)
+    asked = []
+    answer = lambda *given, **_: asked.append(given[2]) or (None, "")  # noqa: E731
+    monkeypatch.setattr(export_dialog, "new_file", answer)
+    for title in ("Table", "Membrane series"):
+        bench.pick(bench.dialog.kind, title)
+        bench.click(bench.dialog.export)
+    assert asked == ["left_hand_table.csv", "left_hand_membrane_series"]
     # nothing is exported while nothing is open
     bench.state.set_range((3, 8))
     assert not clipped_labels(dialog)
