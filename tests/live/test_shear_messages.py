@@ -59,7 +59,7 @@ def test_messages_have_wrench_and_slip(eyes, dragged):
     assert 0.0 < vector(sigma.force).max() < 0.1 * size
     assert 0.0 < vector(sigma.torque).max() < 0.1 * size * 0.045  # the rim's radius as arm
     assert got["slip_share"].data == 0.0  # all of it sticks
-    assert got["slip_share_sigma"].data >= 0.0
+    assert got["slip_share_sigma"].data == pytest.approx(dragged.slip.share_sigma)
 
 
 def test_unknown_results_are_not_published(eyes, dragged):

@@ -37,6 +37,9 @@ def test_a_result_has_traction_and_slip(tmp_path):
         assert (found["traction_force_sigma_n"][1:] > 0.0).all()
         assert (found["traction_torque_sigma_nm"][1:] > 0.0).all()
         np.testing.assert_array_equal(np.isnan(found["slip"]), [True, True, False])
+        slip = results[2].slip
+        assert (found["slip"][2], found["slip_sigma"][2]) == (slip.share, slip.share_sigma)
+        assert slip.share_sigma > 0.0
     np.testing.assert_allclose(force[2], truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n))
     rows = rows_of(tmp_path / "result.csv")
     assert float(rows[2]["traction_torque_z_nm"]) == torque[2, 2]

@@ -51,6 +51,6 @@ def test_session_file_connects_to_other_computers_only_after_a_question(
             open_file(0)
             shown = set[int]()
             session.wait_for(lambda: shown.add(session.state.frame) or len(shown) > 5, "play")
-            assert not is_called()
+            assert not is_called() and session.window.live_controller.connection is None
             open_file(1)
             session.wait_for(is_called, "a connection")
