@@ -213,10 +213,10 @@ class Driver:
 
     def show_source(self, opener, sensor=None, **at):
         """Open another source in the same window, paused; wait until it is shown."""
-        client = self.window.controller.client
-        former = client.session
-        self.open("another", opener, sensor or self.window.controller.sensor, playing=False, **at)
-        self.wait(lambda: client.session is not former)
+        source = opener if isinstance(opener, Source) else Source("another", opener)
+        self.open("", source, sensor or self.window.controller.sensor, playing=False, **at)
+        opened = lambda: self.window.controller.client.opened  # noqa: E731
+        self.wait(lambda: opened() is not None and opened().request.source is source)
         self.wait_until_shown()
 
     def resize(self, width, height):
