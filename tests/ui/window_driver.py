@@ -320,7 +320,7 @@ def text_actors(driver):
 
 def drawn_points(layer):
     """Points drawn by a layer of the scene, (n, 3) in B, m."""
-    return np.asarray(layer.actor.mapper.dataset.points)
+    return np.asarray(layer.actor.mapper.GetInput().points)
 
 
 def graphics_view(panel):

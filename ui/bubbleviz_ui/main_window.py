@@ -484,7 +484,7 @@ class MainWindow(QMainWindow):
         self.state.frozen_changed.connect(self._show_title)
         self.state.connection_changed.connect(self._on_connection)
         self.state.settings_changed.connect(self._on_settings)
-        self.state.history_changed.connect(self.view.refresh)  # the scales may have changed
+        self.state.history_changed.connect(self.scene.follow_scales)
 
     def _play_range(self, frames: tuple[int, int]) -> None:
         """Loop over a range dragged on the timeline."""

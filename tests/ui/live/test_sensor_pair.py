@@ -129,7 +129,7 @@ def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(ope
     bench.wait_for_redraw()
     view = bench.window.view
     assert view.width() > 2 * view.height()
-    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
+    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.GetInput().points)
     angle, radius = np.linspace(0.0, 2.0 * np.pi, 60), robot_sensor().membrane.rim_radius_m
     rim = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(60, 0.12)], axis=1)
     for points in (own, rim):
@@ -284,7 +284,7 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
         assert shown_pair(bench, frame) == (frame, frame - 2)
     # beside each other, and both in the view
     assert drawing(bench).GetVisibility()
-    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.dataset.points)
+    own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.GetInput().points)
     assert drawn(bench)[0, 0] > own[:, 0].mean() and drawn(bench)[0, 1] > own[:, 0].max()
     # a click shows the other one in the panels, at its own frame
     bar = bench.window.live

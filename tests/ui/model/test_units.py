@@ -103,7 +103,7 @@ def test_labels_follow_the_chosen_units(drive):
     bars, (pointed,) = [t for t in others if ")" in t], [t for t in others if "node" in t]
     assert sorted(bar.split()[-1] for bar in bars) == ["(m)", "(psi)"]
     assert re.search(r"p_c .* psi .*\n u .* m ", pointed)
-    drawn = window.scene.layers["membrane"].actor.mapper.dataset["contact pressure"].max()
+    drawn = window.scene.layers["membrane"].actor.mapper.GetInput()["contact pressure"].max()
     peak = driver.result.estimate.contact_pressure_pa.max()
     assert drawn == pytest.approx(peak / 6894.757293168)
     assert driver.pipeline.counts["estimate"] == solved  # without computing anything

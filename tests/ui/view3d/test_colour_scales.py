@@ -82,6 +82,12 @@ def test_playback_solves_only_frames_it_shows_and_idle_time_completes_the_scale(
     assert set(source.read) == set(range(FRAMES)) and scale(driver) > before
 
 
+def test_frames_solved_ahead_are_drawn_again_only_for_another_scale(drive):
+    driver = drive(lambda sensor: LongSource(sensor, deep=(), usual=3), frame=0)  # no contact
+    # opened, solved from rest, and twice asked for by the driver
+    assert driver.window.view.render_count <= 6
+
+
 def test_scale_grows_only_in_the_first_pass_of_playback(drive):
     driver = drive(DentSource, frame=0, playing=True)
     driver.state.change(loop=True, every_frame=True)

@@ -45,16 +45,15 @@ class MembraneLayer(Layer):
         actor = self.add(
             canvas.surface.poly,
             scalars=canvas.surface.PRESSURE,
-            cmap=self._table,
-            show_scalar_bar=False,
-            smooth_shading=False,
+            table=self._table,
+            interpolation="Phong",  # by the normals of the mesh
+            color=theme.UNTRUSTED,  # visible while the estimate is untrusted
             ambient=0.25,
             diffuse=0.75,
             specular=0.0,  # a highlight would look like pressure
         )
+        actor.mapper.InterpolateScalarsBeforeMappingOn()
         light_without_highlights(actor)
-        actor.prop.interpolation = "Phong"  # by the normals of the mesh
-        actor.prop.color = theme.UNTRUSTED  # visible while the estimate is untrusted
         self.bar = self._bar = ColourBar(
             canvas.view, self._table, "contact pressure", "pressure_max_pa", upper=True
         )
@@ -513,17 +512,13 @@ class TextureLayer(Layer):
         self._image = pv.ImageData(dimensions=(1, 1, 1))
         self._take_image(np.zeros((1, 1, 3), np.uint8))
         actor = self.add(
-            canvas.surface.poly, color="white", ambient=0.55, diffuse=0.45, specular=0.0
+            canvas.surface.poly, scalars=self.SHADE, ambient=0.55, diffuse=0.45, specular=0.0
         )
         self._texture = pv.Texture(self._image)
         self._texture.SetInterpolate(True)
         self._texture.SetRepeat(False)
         actor.SetTexture(self._texture)
         actor.SetPickable(False)
-        mapper = actor.mapper
-        mapper.SetScalarModeToUsePointFieldData()
-        mapper.SelectColorArray(self.SHADE)
-        mapper.SetColorModeToDirectScalars()
         draw_in_front(actor, -30.0)
         self._note = text_at(canvas.view, NOTE, (0.5, 0.16))  # above the scale bar
         self._note.GetTextProperty().SetJustificationToCentered()
@@ -537,7 +532,6 @@ class TextureLayer(Layer):
         poly, count = self.canvas.surface.poly, len(mesh.nodes)
         poly.point_data[self.SHADE] = np.zeros((count, 4), np.uint8)
         poly.active_texture_coordinates = np.zeros((count, 2), np.float32)
-        self.actor.mapper.ScalarVisibilityOn()
 
     def draw(self, picture: Picture) -> None:
         """Draw the image; nothing while the estimate is untrusted."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 from vtkmodules.vtkCommonExecutionModel import vtkAlgorithm
+from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
 from bubbleviz.diagnostics import Probed
 from bubbleviz.membrane import MembraneMesh, level_line, midway
@@ -159,15 +160,8 @@ class Layer:
         return self.actors[0]
 
     def add(self, data: Any, **look: Any) -> Any:
-        """Add an actor that is visible with the layer; arguments as of `View.add_mesh`."""
-        actor = self.canvas.view.add_mesh(data, reset_camera=False, render=False, **look)
-        # directly into the mapper: pyvista would insert a Python algorithm that runs every render
-        if isinstance(data, vtkAlgorithm):
-            actor.mapper.SetInputConnection(data.GetOutputPort())
-        elif "scalars" in look:
-            actor.mapper.SetInputDataObject(data)
-            actor.mapper.SetScalarModeToUsePointFieldData()
-            actor.mapper.SelectColorArray(look["scalars"])
+        """Add an actor that is visible with the layer; arguments as of `new_actor`."""
+        actor = new_actor(self.canvas.view, data, **look)
         self.actors.append(actor)
         return actor
 
@@ -192,9 +186,36 @@ class Layer:
             actor.SetVisibility(self._visible and self._drawn)
 
 
+def new_actor(
+    view: View,
+    data: Any,  # Polygonal data, or a VTK algorithm that makes it
+    *,
+    scalars: str = "",  # Point array that colours it: RGB bytes, or values of a table
+    table: Any = None,  # VTK lookup table
+    **look: Any,  # Arguments of `pyvista.Property`
+) -> Any:
+    """Add an actor to the view.
+
+    `pyvista.Plotter.add_mesh` takes a hundred times as long, and inserts a Python algorithm that
+    runs with every render.
+    """
+    mapper = vtkPolyDataMapper()
+    if isinstance(data, vtkAlgorithm):
+        mapper.SetInputConnection(data.GetOutputPort())
+    else:
+        mapper.SetInputDataObject(data)
+    mapper.SetScalarVisibility(bool(scalars))
+    mapper.SetScalarModeToUsePointFieldData()
+    mapper.SelectColorArray(scalars)
+    mapper.SetLookupTable(table)
+    actor = pv.Actor(mapper=mapper, prop=pv.Property(**look))
+    view.renderer.AddActor(actor)
+    return actor
+
+
 def add_mark(view: View, data: Any, units: float = -6000.0, **look: Any) -> Any:
     """Add an actor that is drawn in front of others and cannot be picked."""
-    actor = view.add_mesh(data, reset_camera=False, render=False, **look)
+    actor = new_actor(view, data, **look)
     actor.SetPickable(False)
     draw_in_front(actor, units)
     return actor

@@ -12,7 +12,7 @@ from bubbleviz.result import Pose
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d.colours import rgb
+from bubbleviz_ui.view3d.colours import lookup_table, rgb
 from bubbleviz_ui.view3d.layer import Canvas, Layer, add_mark, cells, draw_in_front, pairs
 from bubbleviz_ui.view3d.render_view import View
 
@@ -96,9 +96,13 @@ class FitLayer(Layer):
         self._lines = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         self._arrows = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         self.points = self.add(
-            self._points, scalars="distance", cmap=COLOURS, clim=(-HIGHEST_M, HIGHEST_M),
-            point_size=5, show_scalar_bar=False, **canvas.view.quality.points,
-        )  # fmt: skip
+            self._points,
+            scalars="distance",
+            table=lookup_table(np.array([(*rgb(colour), 255) for colour in COLOURS], np.uint8)),
+            point_size=5,
+            **canvas.view.quality.points,
+        )
+        self.points.mapper.scalar_range = (-HIGHEST_M, HIGHEST_M)
         self.lines = self.add(self._lines, color=theme.ORANGE, line_width=1, lighting=False)
         self.arrows = self.add(self._arrows, color=theme.NODE, line_width=3, lighting=False)
         for actor in self.actors:
@@ -177,7 +181,7 @@ class ProbeMarks:
         self._dots = pv.PolyData(np.zeros((2, 3)))
         self._dots.point_data["colour"] = np.array([rgb(theme.LINE), rgb(theme.NODE)], np.uint8)
         self._ray = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        dots = {"scalars": "colour", "rgb": True, "point_size": 11, **view.quality.points}
+        dots = {"scalars": "colour", "point_size": 11, **view.quality.points}
         self.actors = [
             add_mark(view, self._ray, color=theme.LINE, line_width=1, opacity=0.6, lighting=False),
             add_mark(view, self._dots, **dots),

@@ -69,7 +69,7 @@ class RenderQuality:
 
     @property
     def points(self) -> dict[str, Any]:
-        """Arguments of `View.add_mesh` for points."""
+        """Arguments of `new_actor` for points."""
         balls = self.round_points
         arguments = {"style": "points", "render_points_as_spheres": balls, "lighting": balls}
         return arguments | (_BRIGHT if balls else {})
@@ -275,7 +275,7 @@ class View(QtInteractor):  # type: ignore[misc]
         would stay on the screen.
         """
         if watched is self.windowHandle():
-            if event.type() == QEvent.Type.Expose:
+            if event.type() == QEvent.Type.Expose and self._newer_than_qt:
                 self.refresh()
         elif isinstance(event, QPaintEvent) and isinstance(watched, QWindow):
             self.window().update(event.region())

@@ -112,10 +112,15 @@ class DrawnLayers:
         self._picture = None
         self._scales.forget(self)
 
-    def _update_scale(self) -> None:
-        """Redraw if another frame or sensor has changed the scales."""
+    @property
+    def rescaled(self) -> bool:
+        """Whether another frame or sensor has changed the scales since it was drawn."""
         drawn = self._picture
-        if drawn is not None and drawn.ranges != self._scales.of(drawn.settings):
+        return drawn is not None and drawn.ranges != self._scales.of(drawn.settings)
+
+    def _update_scale(self) -> None:
+        drawn = self._picture
+        if drawn is not None and self.rescaled:
             self._draw(drawn.result, drawn.settings, final=drawn.final)
 
     def _draw(self, result: Result, settings: Settings, *, final: bool) -> None:
@@ -253,6 +258,11 @@ class Scene:
         self._text.write()
         if self._result is not None:
             self.show(self._result, settings)
+
+    def follow_scales(self) -> None:
+        """Redraw if the scales have changed."""
+        if self._drawn.rescaled:
+            self._view.refresh()
 
     def look_from(self, name: Viewpoint) -> None:
         """Move the camera to a named viewpoint."""

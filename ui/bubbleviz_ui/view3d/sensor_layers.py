@@ -202,10 +202,8 @@ class CloudLayer(Layer):
         actor = self.add(
             self._poly,
             scalars=self.RESIDUAL,
-            cmap=self._table,
+            table=self._table,
             point_size=BALL if view.quality.round_points else DOT,
-            show_scalar_bar=False,
-            interpolate_before_map=False,
             **view.quality.points,
         )
         actor.ForceOpaqueOn()  # avoids VTK's slow translucent pass

@@ -108,7 +108,7 @@ class Picker:
 
 def _not_cut_away(mapper: Any) -> np.ndarray:
     """Points (k, 3) in B of a mapper that are not clipped."""
-    points, planes = np.asarray(mapper.dataset.points), mapper.GetClippingPlanes()
+    points, planes = np.asarray(mapper.GetInput().points), mapper.GetClippingPlanes()
     for plane in planes or ():
         points = points[(points - plane.GetOrigin()) @ plane.GetNormal() >= 0.0]
     return points
@@ -134,8 +134,6 @@ class Section:
         cutter.SetCutFunction(self._plane)
         look = {"color": theme.ORANGE, "line_width": 3, "lighting": False}
         self._line = add_mark(view, cutter, -200.0, **look)
-        self._line.mapper.SetInputConnection(cutter.GetOutputPort())
-        self._line.mapper.ScalarVisibilityOff()
         self._line.visibility = False
 
     def apply(self, settings: Settings) -> None:
