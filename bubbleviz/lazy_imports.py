@@ -5,8 +5,8 @@ from __future__ import annotations
 import gc
 import importlib
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
@@ -81,7 +81,21 @@ def _deferred(name: str) -> ModuleType:
 
 
 @contextmanager
-def defer_class(module: str, cls: str) -> Iterator[None]:
+def substitute_modules(modules: Mapping[str, ModuleType | None]) -> Iterator[None]:
+    """Import others within the block as if these were loaded; None: as if it were not installed.
+
+    Later imports get the real modules. No effect on those that are already loaded.
+    """
+    new = {name: module for name, module in modules.items() if name not in sys.modules}
+    sys.modules.update(new)  # type: ignore[arg-type]  # None makes imports fail
+    try:
+        yield
+    finally:
+        for name in new:
+            del sys.modules[name]
+
+
+def defer_class(module: str, cls: str) -> AbstractContextManager[None]:
     """Replace a class, imported by name within the block, by a factory that imports it when called.
 
     pyvista would load Matplotlib's figure drawing for an unused chart. No effect if the module is
@@ -92,36 +106,13 @@ def defer_class(module: str, cls: str) -> Iterator[None]:
     module, cls : str
         Of `module.cls`.
     """
-    if module in sys.modules:
-        yield
-        return
 
     def make(*args: Any, **kwargs: Any) -> Any:
         return getattr(importlib.import_module(module), cls)(*args, **kwargs)
 
     substitute = ModuleType(module)
     setattr(substitute, cls, make)
-    sys.modules[module] = substitute
-    try:
-        yield
-    finally:
-        del sys.modules[module]  # later imports get the real module
-
-
-@contextmanager
-def hide_package(package: str) -> Iterator[None]:
-    """Make a package look uninstalled within the block.
-
-    pyvista would load mypy, if installed, for a plugin of it. No effect if already loaded.
-    """
-    if package in sys.modules:
-        yield
-        return
-    sys.modules[package] = None  # type: ignore[assignment]  # imports then fail
-    try:
-        yield
-    finally:
-        del sys.modules[package]
+    return substitute_modules({module: substitute})
 
 
 @contextmanager

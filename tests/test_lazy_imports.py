@@ -118,6 +118,7 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need():
         "mypy",
         "open3d",
         "pooch.core",
+        "qtpy",
         "scipy.ndimage._filters",
     )
     assert all(importlib.util.find_spec(name) for name in unneeded)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import linecache
 import sys
+from contextlib import suppress
+from types import ModuleType
 
 from bubbleviz.lazy_imports import (
     defer_class,
-    hide_package,
     import_later,
     import_without,
     quick_imports,
+    substitute_modules,
     without_garbage_collection,
 )
 
@@ -29,10 +31,28 @@ def import_the_window() -> None:
     import_without("scipy", "ndimage")
     import_later("pooch")
     charts = defer_class("matplotlib.backends.backend_agg", "FigureCanvasAgg")
-    with without_garbage_collection(), charts, hide_package("mypy"):
+    with without_garbage_collection(), charts, substitute_modules({"mypy": None}):
         # before Qt: PySide6 reads the source of every module imported after it
         import pyvista.plotting  # noqa: F401
 
+        # another version may need more of qtpy, and is imported with it later
+        with suppress(ImportError), substitute_modules(_qtpy()):
+            import pyvistaqt  # noqa: F401
         import bubbleviz_ui.engine.solver
         import bubbleviz_ui.main_window  # noqa: F401
     linecache.clearcache()  # tens of MB of sources read by PySide6
+
+
+def _qtpy() -> dict[str, ModuleType]:
+    """Modules for pyvistaqt in place of qtpy, which has PySide6 make every class of Qt."""
+    from PySide6 import QtCore, QtGui, QtOpenGLWidgets, QtWidgets
+
+    def widget(name: str) -> object:
+        return getattr(QtGui if name == "QAction" else QtWidgets, name)  # moved in Qt 6
+
+    package, widgets = ModuleType("qtpy"), ModuleType("qtpy.QtWidgets")
+    package.__dict__.update(QtCore=QtCore, QtGui=QtGui, QtWidgets=widgets)
+    widgets.__dict__.update(__getattr__=widget)
+    parts = {"QtCore": QtCore, "QtGui": QtGui, "QtOpenGLWidgets": QtOpenGLWidgets}
+    named = {f"qtpy.{name}": part for name, part in parts.items()}
+    return {"qtpy": package, "qtpy.QtWidgets": widgets, **named}
