@@ -97,7 +97,7 @@ PLOTS_AFTER_S = 2.0
 """Time after the first source is open when the plotting library is imported, in a thread."""
 UNDO_STEPS = 200
 """Limited because some steps hold collected frames."""
-NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme"}
+NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme", "panels", "plots", "images"}
 """Settings whose change does not redraw the 3-D view; it follows the theme by its palette."""
 OPENED_BY_WINDOW = (".mcap", ".toml", SESSION_SUFFIX)
 """Suffixes of written files that the window itself opens; others go to the desktop."""

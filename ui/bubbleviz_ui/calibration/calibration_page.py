@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from PySide6.QtCore import QPointF, Qt
@@ -137,17 +138,22 @@ class ImageView(QWidget):
 
     def paint(self, dim: QColor, text: QColor) -> None:
         self._cell.paint(dim, text)
-        self._bar.setColorMap(self._cell.map)
+        self._bar.setColorMap(self._colour_map())
         axis = self._bar.getAxis("bottom")
         axis.setPen(dim)
         axis.setTextPen(text)
+
+    def _colour_map(self) -> Any:
+        import pyqtgraph as pg  # not at start
+
+        return pg.ColorMap(None, self._cell.table)
 
     def _make(self) -> list[Part]:
         import pyqtgraph as pg  # not at start
 
         self._cell = ImageCell(self._kind, head=0.0)
         self._bar = pg.ColorBarItem(
-            colorMap=self._cell.map,
+            colorMap=self._colour_map(),
             width=BAR,
             orientation="h",
             interactive=False,

@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
 from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
@@ -18,7 +19,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.units import DASH, Unit, Units
+from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Part, PlotHost
 from bubbleviz_ui.shell import theme
@@ -29,8 +30,8 @@ from bubbleviz_ui.view3d.colours import Scales, residual_colours, rounded_up
 # One image with its colour scale and the marked pixel.
 
 
-MAPS = {"range": "viridis", "mask": "CET-L1", "colour": "CET-L1"}
-"""Perceptually uniform (Smith and van der Walt 2015; Kovesi 2015)."""
+VALUES = 256
+"""Entries of a colour table."""
 LINE_LETTERS = 18
 """Letters in a line of the narrowest cell."""
 PAN_LIMIT = 2
@@ -39,14 +40,14 @@ SCALE_STEPS = 5
 """Colour squares of the scale in the heading."""
 
 
-@cache  # made of 256 colours, for seven images
-def colour_map(colouring: Colouring, colours: theme.Colours) -> Any:
-    """Colour map of pyqtgraph; signed images have the residual colours of the 3-D view."""
-    import pyqtgraph as pg  # not at start
-
+@cache  # for seven images
+def colour_table(colouring: Colouring, colours: theme.Colours) -> np.ndarray:
+    """Colours (256, 3) uint8; signed images have the residual colours of the 3-D view."""
     if colouring == "around zero":
-        return pg.ColorMap(None, residual_colours(colours.cloud))
-    return pg.colormap.get(MAPS[colouring])
+        return residual_colours(colours.cloud)[:, :3]
+    # perceptually uniform (Smith and van der Walt 2015)
+    table = colormaps["viridis" if colouring == "range" else "gray"](np.arange(VALUES), bytes=True)
+    return np.asarray(table)[:, :3]
 
 
 class ImageCell:
@@ -64,7 +65,7 @@ class ImageCell:
         self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         self.item = pg.ImageItem(axisOrder="row-major")
-        self.map = colour_map(kind.colouring, theme.DARK)
+        self.table = colour_table(kind.colouring, theme.DARK)
         self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
         self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
@@ -140,8 +141,8 @@ class ImageCell:
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Apply the theme's colours."""
-        self.map = colour_map(self.kind.colouring, theme.with_text(text))
-        self.item.setLookupTable(self.map.getLookupTable(nPts=256))
+        self.table = colour_table(self.kind.colouring, theme.with_text(text))
+        self.item.setLookupTable(self.table)
         self.label.setAttr("color", text.name())
         if self._scale is not None and self.image is not None:
             self._write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
@@ -161,7 +162,7 @@ class ImageCell:
 
     def legend(self, low: float, high: float, unit: Unit | None) -> str:
         """Colour scale as HTML; yes and no for a mask."""
-        colours = self.map.getLookupTable(nPts=SCALE_STEPS)[:, :3]
+        colours = self.table[np.linspace(0, VALUES - 1, SCALE_STEPS).astype(int)]
         blocks = "".join(f'<span style="color:rgb({r},{g},{b})">█</span>' for r, g, b in colours)
         if unit is None:
             no, yes = (f"rgb({','.join(map(str, colours[k]))})" for k in (0, -1))
@@ -201,6 +202,8 @@ def _digits(span: float) -> int:
 
 EVERY_MS = 150
 """Redraw period during playback; colouring a large image takes some ms."""
+DRAWN = UNIT_CHOICES.keys() | {"images", "residual_max_m"}
+"""Settings whose change redraws the images."""
 ASPECT = 4 / 3
 NARROWEST = 130
 """Smallest column in which the colour scale fits, screen pixels."""
@@ -220,7 +223,7 @@ class ImagesPanel(QWidget):
         self._scales, self._residual_max_m = scales, math.nan
         self._state, self._controller, self._hover = state, controller, hover
         self._host = PlotHost(self._make, spacing=4)
-        self._host.seen.connect(self._draw)
+        self._host.seen.connect(self._on_seen)
         self._arranged: list[tuple[str, int]] | None = None
         self.cells: dict[str, ImageCell] = {}
         self._redraw_timer = QTimer(self, singleShot=True, interval=EVERY_MS)
@@ -249,12 +252,14 @@ class ImagesPanel(QWidget):
         for cell in self.cells.values():
             cell.forget_range()
 
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names == {"theme"}:  # the canvas follows it
-            return
+    def _on_seen(self) -> None:
         self._arrange()
         self._draw()
-        self._on_hover(self._hover.place)
+
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & DRAWN:
+            self._on_seen()
+            self._on_hover(self._hover.place)
 
     def _on_history(self) -> None:
         """Redraw if another frame has changed the scale of the residual."""
@@ -293,7 +298,6 @@ class ImagesPanel(QWidget):
     def _make(self) -> list[Part]:
         self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         self._host.canvas.installEventFilter(self)
-        self._arrange()
         return []  # each is created when it is first chosen
 
     def _cell(self, name: str) -> ImageCell:
@@ -315,7 +319,6 @@ class ImagesPanel(QWidget):
             return
         self._arranged = [(name, columns) for name in shown]
         self._host.arrange([self._cell(name).frame for name in shown], columns)
-        self._draw()
 
     def _draw(self) -> None:
         if not self._host.ready:

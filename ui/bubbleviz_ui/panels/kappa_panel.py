@@ -24,9 +24,9 @@ from bubbleviz.inverse import Component
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import force_text, untrusted_text
-from bubbleviz_ui.model.units import DASH, Units
+from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
 from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell import theme
@@ -284,7 +284,7 @@ class ThresholdPanel(QWidget):
         self.least = control(state, "least_area_m2")
         self._lay_out()
         controller.shown.connect(self._draw)
-        state.settings_changed.connect(self._draw)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         row = fill(QHBoxLayout(), QLabel(self.least.accessibleName()), (self.least, 1))
@@ -305,6 +305,10 @@ class ThresholdPanel(QWidget):
 
     def _on_dragged(self, line: Any) -> None:
         self._state.change(kappa=kappa_at(line))
+
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if names & (PATCH_SETTINGS | UNIT_CHOICES.keys()):
+            self._draw()
 
     # -- drawing ------------------------------------------------------------------------------
 

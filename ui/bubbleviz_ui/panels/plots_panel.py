@@ -12,6 +12,8 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QV
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import PATCH_SETTINGS
+from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, Part, PlotHost
@@ -28,6 +30,8 @@ EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
 """Smallest width and height of a plot, screen pixels."""
+DRAWN = PATCH_SETTINGS | UNIT_CHOICES.keys() | {"plots"}
+"""Settings whose change redraws the curves."""
 LIVE_WINDOW_S = 20.0
 """Time span shown of a live source."""
 
@@ -117,7 +121,7 @@ class PlotsPanel(QWidget):
     def _on_settings(self, names: frozenset[str]) -> None:
         if "plots" in names:
             self._arrange()
-        if names != {"theme"}:  # the canvas follows it
+        if names & DRAWN:
             self._draw()
 
     def _draw_soon(self) -> None:
@@ -187,10 +191,10 @@ class PlotsPanel(QWidget):
             self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
             return self.kappa
         self.plots[name] = plot = TimePlot(TRACES[name])
-        plot.box.sigXRangeChanged.connect(self._draw_soon)
         plot.cursor.sigDragged.connect(self._on_dragged)
         if self._state.facts is not None:
             plot.show_all(self._state.facts.times_s)
+        plot.box.sigXRangeChanged.connect(self._draw_soon)
         return plot
 
     def _arrange(self) -> None:

@@ -282,7 +282,7 @@ class Scene:
         """Show the numbers of a probed place, and mark it if the images panel is open."""
         drawn_m = self.drawn_point(place)
         self._text.show(place, drawn_m)
-        self.marks.show(place if "images" in self._settings.panels else None, drawn_m)
+        self.marks.show(place if "images" in self._state.settings.panels else None, drawn_m)
 
     def drawn_point(self, place: Probed | None) -> np.ndarray | None:
         """Drawn position (3,) in B of a probed place of the membrane; None without a place."""
