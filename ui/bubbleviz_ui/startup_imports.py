@@ -17,6 +17,12 @@ from bubbleviz.lazy_imports import (
 )
 
 
+CHARTS = "vtkmodules.vtkRenderingContextOpenGL2"
+"""Drawing of VTK's charts, a library of its own."""
+UNUSED = {"mypy": None, CHARTS: ModuleType(CHARTS)}
+"""What pyvista would import for nothing."""
+
+
 def import_the_backend() -> None:
     """Import what checks a recording before the window opens."""
     with quick_imports():
@@ -31,7 +37,7 @@ def import_the_window() -> None:
     import_without("scipy", "ndimage")
     import_later("pooch")
     charts = defer_class("matplotlib.backends.backend_agg", "FigureCanvasAgg")
-    with without_garbage_collection(), charts, substitute_modules({"mypy": None}):
+    with without_garbage_collection(), charts, substitute_modules(UNUSED):
         # before Qt: PySide6 reads the source of every module imported after it
         import pyvista.plotting  # noqa: F401
 

@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QProgressDialog,
-    QPushButton,
     QScrollArea,
     QStackedWidget,
     QVBoxLayout,
@@ -34,7 +33,7 @@ from bubbleviz_ui.model.messages import CALIBRATION, UserMessage
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
 from bubbleviz_ui.shell.message_bars import JobProgress, StepButtons, StepState
 
@@ -57,13 +56,23 @@ class CalibrationPanel(QWidget):
         self._failed_work: Work | None = None
         self._unsaved_sensor: Sensor | None = None  # identified sensor in use before it is saved
         self.verdict = QLabel(wordWrap=True)
-        self.back, self.next = QPushButton("Back"), QPushButton()
-        self.all = QPushButton("Identify")
+        self.back = push_button(
+            "Back", "Previous step", lambda: self.go_to(self.stack.currentIndex() - 1)
+        )
+        self.next = push_button(
+            "", "Compute the step named here if needed, and show it", self._on_next
+        )
+        self.all = push_button(
+            "Identify",
+            "Compute all steps up to γ0",
+            partial(calibration.reach, Step.TENSION, "Identify"),
+        )
         self.progress = JobProgress()
-        self.cancel = QPushButton("Cancel")
-        self.back.setToolTip("Previous step")
-        self.next.setToolTip("Compute the step named here if needed, and show it")
-        self.cancel.setToolTip("Stop, and go back to the settings of the results shown")
+        self.cancel = push_button(
+            "Cancel",
+            "Stop, and go back to the settings of the results shown",
+            calibration.cancel,
+        )
         self._lay_out()
         self._connect()
         self.go_to(0)
@@ -183,10 +192,6 @@ class CalibrationPanel(QWidget):
     def _connect(self) -> None:
         calibration = self.calibration
         self.steps.idClicked.connect(self.go_to)
-        self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
-        self.next.clicked.connect(self._on_next)
-        self.all.clicked.connect(partial(calibration.reach, Step.TENSION, "Identify"))
-        self.cancel.clicked.connect(calibration.cancel)
         calibration.changed.connect(self._show)
         calibration.progressed.connect(self.progress.show_step)
         calibration.controller.state.messages.added.connect(self._on_message)
@@ -330,7 +335,6 @@ class CalibrationPanel(QWidget):
         buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1), *last)
         parts = (self.steps.row, (self.stack, 1), self.verdict)
         fill(column, *parts, working, buttons)
-        self.all.setToolTip("Compute all steps up to γ0")
 
 
 def _scrolling(page: Page) -> QScrollArea:

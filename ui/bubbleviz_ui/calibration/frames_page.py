@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QGroupBox,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QSpinBox,
     QVBoxLayout,
     QWidget,
@@ -29,7 +28,7 @@ from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 
 # Deviation of each frame from rest, which shows why a range ends where it does.
 
@@ -130,33 +129,33 @@ class FramesPage(Page):
         self.strip = RangeStrip()
         self.message = QLabel(wordWrap=True)
         self.first, self.last = QSpinBox(), QSpinBox()
-        self.add = QPushButton("Add")
-        self.remove = QPushButton("Remove")
-        self.replace = QPushButton("Replace")
-        self.find_again = QPushButton("Find again")
         self.first.setToolTip("First frame of the range for Add, Remove and Replace")
         self.last.setToolTip("Last frame of the range for Add, Remove and Replace")
-        self.add.setToolTip("Add the frames of this range to the contact-free ones")
-        self.remove.setToolTip("Remove the frames of this range from the contact-free ones")
-        self.replace.setToolTip("Use only the frames of this range as contact-free ones")
-        self.find_again.setToolTip("Discard the ranges and search contact-free frames again")
+        self.add = push_button(
+            "Add", "Add the frames of this range to the contact-free ones", self._on_add
+        )
+        self.remove = push_button(
+            "Remove", "Remove the frames of this range from the contact-free ones", self._on_remove
+        )
+        self.replace = push_button(
+            "Replace", "Use only the frames of this range as contact-free ones", self._on_replace
+        )
+        self.find_again = push_button(
+            "Find again",
+            "Discard the ranges and search contact-free frames again",
+            lambda: self.set_ranges(None, "Find contact-free frames"),
+        )
         self.collect = CollectBox(calibration, units)
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
-        self.add.clicked.connect(self._on_add)
-        self.remove.clicked.connect(self._on_remove)
-        self.replace.clicked.connect(self._on_replace)
-        self.find_again.clicked.connect(
-            lambda: calibration.edit(
-                "Find contact-free frames", ranges=None, last_step=self._step_reached()
-            )
-        )
 
     def enter(self) -> None:
         self.calibration.reach(Step.FRAMES, self.next_title)
 
-    def set_ranges(self, ranges: Ranges, what: str) -> None:
-        self.calibration.edit(what, ranges=ranges, last_step=self._step_reached())
+    def set_ranges(self, ranges: Ranges | None, what: str) -> None:
+        """Use these ranges, or search them; `what`: the change, for undo."""
+        reached = max(self.calibration.settings.last_step, Step.FRAMES)
+        self.calibration.edit(what, ranges=ranges, last_step=reached)
 
     def is_done(self, answer: Answer) -> bool:
         return answer.work.settings.last_step >= Step.FRAMES
@@ -188,9 +187,6 @@ class FramesPage(Page):
     @staticmethod
     def ranges(answer: Answer) -> Ranges:
         return answer.found.ranges
-
-    def _step_reached(self) -> Step:
-        return max(self.calibration.settings.last_step, Step.FRAMES)
 
     @property
     def _chosen(self) -> range:
@@ -225,18 +221,24 @@ class CollectBox(QGroupBox):
         self.collector = Collector()
         self.count, self.target = QSpinBox(), QDoubleSpinBox()
         self.contact_free = QCheckBox("Skip frames with contact")
-        self.button, self.stop, self.cancel = (QPushButton() for _ in range(3))
         self.count.setToolTip("Largest number of frames to collect")
-        self.button.setToolTip(
-            "Collect frames of the live source; they replace those collected before"
+        self.button = push_button(
+            "",
+            "Collect frames of the live source; they replace those collected before",
+            self._start,
         )
-        self.stop.setToolTip("Stop collecting and calibrate with the frames collected so far")
-        self.cancel.setToolTip("Stop collecting and discard the frames collected so far")
+        self.stop = push_button(
+            "Stop and use these frames",
+            "Stop collecting and calibrate with the frames collected so far",
+            self.collector.finish,
+        )
+        self.cancel = push_button(
+            "Cancel",
+            "Stop collecting and discard the frames collected so far",
+            self.collector.cancel,
+        )
         self.message = QLabel(wordWrap=True)
         self._lay_out()
-        self.button.clicked.connect(self._start)
-        self.stop.clicked.connect(self.collector.finish)
-        self.cancel.clicked.connect(self.collector.cancel)
         self.count.valueChanged.connect(lambda _: self._show())
         self.collector.changed.connect(self._show)
         self.collector.complete.connect(self._use)
@@ -264,12 +266,8 @@ class CollectBox(QGroupBox):
             "Ticked: frames in which the sensor file in use detects contact are not collected. "
             "Unticked: all are collected, and contact-free ones are searched among them"
         )
-        self.stop.setText("Stop and use these frames")
-        self.cancel.setText("Cancel")
         row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)
-        buttons = QHBoxLayout()
-        for button in (self.button, self.stop, self.cancel):
-            buttons.addWidget(button)
+        buttons = fill(QHBoxLayout(), self.button, self.stop, self.cancel)
         fill(QVBoxLayout(self), row, self.contact_free, buttons, self.message)
 
     def _start(self) -> None:

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton
+from PySide6.QtWidgets import QHBoxLayout, QLabel
 
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.engine.source import RECORDINGS
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import file_to_open
 
 
@@ -28,22 +28,25 @@ class RectificationPage(Page):
         super().__init__(calibration, units)
         self.before, self.after = ImageView("around zero"), ImageView("around zero")
         self.levels = QLabel(wordWrap=True)
-        self.add, self.drop = QPushButton("Add a level…"), QPushButton("Remove the last")
-        self.add.setToolTip("Recording of the untouched sensor at another inflation level")
-        self.drop.setToolTip("Remove the level added last")
-        self.vented = QPushButton("Open chamber…")
-        self.vented.setToolTip(
-            "Recording with the chamber open to the air, to measure the atmospheric pressure"
+        self.add = push_button(
+            "Add a level…",
+            "Recording of the untouched sensor at another inflation level",
+            self._choose_level,
+        )
+        self.drop = push_button(
+            "Remove the last",
+            "Remove the level added last",
+            lambda: calibration.edit("Remove a level", levels=calibration.settings.levels[:-1]),
+        )
+        self.vented = push_button(
+            "Open chamber…",
+            "Recording with the chamber open to the air, to measure the atmospheric pressure",
+            self._choose_vented,
         )
         self.numbers = NumberForm()
         row = fill(QHBoxLayout(), self.add, self.drop)
         # controls first: a small screen shows no more without scrolling
         fill(self.column, self.levels, row, self.vented, self.before, self.after, self.numbers, 1)
-        self.add.clicked.connect(self._choose_level)
-        self.vented.clicked.connect(self._choose_vented)
-        self.drop.clicked.connect(
-            lambda: calibration.edit("Remove a level", levels=calibration.settings.levels[:-1])
-        )
 
     def add_level(self, path: Path) -> None:
         levels = (*self.calibration.settings.levels, path)

@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QDoubleSpinBox,
     QFormLayout,
     QHBoxLayout,
-    QPushButton,
     QSlider,
     QSpinBox,
 )
@@ -21,7 +20,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
 USED = Unit("", 1.0, 0)
@@ -179,10 +178,13 @@ class SurfacePage(Page):
             self.choice.addItem(name, name)
         self.nodes = QSpinBox(minimum=30, maximum=20_000, singleStep=100)
         self.nodes.setKeyboardTracking(False)
-        self.paint = QPushButton("Paint the residual in the 3-D view")
+        self.paint = push_button(
+            "Paint the residual in the 3-D view",
+            "Colour the measured points by measured minus fitted range",
+            self._paint,
+        )
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")
         self.nodes.setToolTip("Number of nodes of the surface mesh")
-        self.paint.setToolTip("Colour the measured points by measured minus fitted range")
         self.numbers = NumberForm()
         form = QFormLayout()
         form.addRow("Surface", self.choice)
@@ -192,7 +194,6 @@ class SurfacePage(Page):
             lambda row: calibration.edit("Choose the surface", surface=self.choice.itemData(row))
         )
         self.nodes.valueChanged.connect(lambda n: calibration.edit("Nodes of the mesh", nodes=n))
-        self.paint.clicked.connect(self._paint)
 
     def enter(self) -> None:
         self.calibration.reach(Step.SURFACE, self.next_title)

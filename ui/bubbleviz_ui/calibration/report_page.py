@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QPushButton,
     QSpinBox,
 )
 
@@ -23,7 +22,7 @@ from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Pag
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.table import Table
 
@@ -48,12 +47,18 @@ class ReportPage(Page):
         self.compared = QLabel(wordWrap=True)
         self.table = Table(("", "in use", "new"))
         self.view = ImageView("around zero")
-        self.use_sensor = QPushButton("Use now")
-        self.save_as = QPushButton("Save sensor as…")
+        self.use_sensor = push_button(
+            "Use now",
+            "Use the new sensor for the current source; undo restores the old one",
+            self.use,
+        )
+        self.save_as = push_button(
+            "Save sensor as…",
+            "Write sensor file, mesh, pixel data and report, or nothing if one fails",
+            self.choose_file,
+        )
         self.save_as.setDefault(True)
         self._lay_out()
-        self.use_sensor.clicked.connect(self.use)
-        self.save_as.clicked.connect(self.choose_file)
 
     def is_done(self, answer: Answer) -> bool:
         return self.calibration.saved == answer.work
@@ -110,12 +115,6 @@ class ReportPage(Page):
         self.table.setToolTip("±: half of the 95 % interval, where it is known")
         self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         fill(self.column, self.compared, self.table, self.view, self.advice, 1)
-        self.use_sensor.setToolTip(
-            "Use the new sensor for the current source; undo restores the old one"
-        )
-        self.save_as.setToolTip(
-            "Write sensor file, mesh, pixel data and report, or nothing if one fails"
-        )
 
 
 # Step 6: validation by pressing a known object at a known pose.
@@ -140,26 +139,28 @@ class ValidationPage(Page):
         self.obj.addItems(sorted(p.stem for p in presets_folder("objects").glob("*.*")))
         self.pose = QLineEdit("0 0 0.05 0 0 0 1")
         self.first, self.last = QSpinBox(), QSpinBox()
-        self.predict = QPushButton("Predict and compare")
-        self.remove = QPushButton("Remove")
-        self.paint = QPushButton("Paint the distances in the 3-D view")
+        self.predict = push_button(
+            "Predict and compare",
+            "Compare the shape predicted by the forward model (Eq. 16) with the measured one",
+            self._on_predict,
+        )
+        self.remove = push_button(
+            "Remove",
+            "Remove the validation by this press",
+            lambda: calibration.edit("Remove the validation", press=None),
+        )
+        self.paint = push_button(
+            "Paint the distances in the 3-D view",
+            "Colour each measured point by its distance from the predicted membrane, positive "
+            "outside",
+            self._paint,
+        )
         self.obj.setToolTip("Object that was pressed: a preset or a mesh file")
         self.first.setToolTip("First frame in which the object is held still")
         self.last.setToolTip("Last frame in which the object is held still")
-        self.predict.setToolTip(
-            "Compare the shape predicted by the forward model (Eq. 16) with the measured one"
-        )
-        self.remove.setToolTip("Remove the validation by this press")
-        self.paint.setToolTip(
-            "Colour each measured point by its distance from the predicted membrane, positive "
-            "outside"
-        )
         self.numbers = NumberForm()
         self.summary = QLabel(wordWrap=True)
         self._lay_out()
-        self.predict.clicked.connect(self._on_predict)
-        self.remove.clicked.connect(lambda: calibration.edit("Remove the validation", press=None))
-        self.paint.clicked.connect(self._paint)
 
     def is_done(self, answer: Answer) -> bool:
         return answer.found.validation is not None

@@ -10,7 +10,6 @@ from PySide6.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QSpinBox,
     QVBoxLayout,
     QWidget,
@@ -21,7 +20,7 @@ from bubbleviz_ui.export.exporting import KINDS, TOPIC, Exporting, Kind
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.message_bars import JobProgress
 
@@ -54,9 +53,10 @@ class ExportDialog(QDialog):
         self.about = theme.dim(QLabel(wordWrap=True))
         self.message = QLabel(wordWrap=True)
         self.progress = JobProgress()
-        self.export, self.cancel = QPushButton("Export…"), QPushButton("Cancel")
-        self.export.setToolTip("Choose the name of the file or folder, and start")
-        self.cancel.setToolTip("Stop; nothing is kept")
+        self.export = push_button(
+            "Export…", "Choose the name of the file or folder, and start", self._choose_name
+        )
+        self.cancel = push_button("Cancel", "Stop; nothing is kept", exporting.cancel)
         self._lay_out()
         self._connect()
         self.show_all()
@@ -103,8 +103,6 @@ class ExportDialog(QDialog):
         self.kind.currentIndexChanged.connect(lambda _: self.message.clear())
         self.frames.currentIndexChanged.connect(lambda _: self._show())
         self.step.valueChanged.connect(lambda _: self._show())
-        self.export.clicked.connect(lambda: self._choose_name())
-        self.cancel.clicked.connect(exporting.cancel)
         exporting.changed.connect(self._show)
         exporting.progressed.connect(self.progress.show_step)
         self._state.messages.added.connect(self._show_message)

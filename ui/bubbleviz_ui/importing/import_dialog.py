@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -30,7 +29,7 @@ from bubbleviz_ui.live.recording_control import make_folder
 from bubbleviz_ui.model.messages import Messages
 from bubbleviz_ui.panels.binding import options
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, remember
 from bubbleviz_ui.shell.message_bars import JobProgress
 
@@ -51,13 +50,11 @@ class FileField(QWidget):
         self._title, self._kinds = title, kinds
         self.line = QLineEdit()
         self.line.setPlaceholderText(placeholder)
-        self.browse = QPushButton("Browse…")
+        self.browse = push_button("Browse…", title, self._browse)
         self.browse.setAutoDefault(False)
-        self.browse.setToolTip(title)
         fill(QHBoxLayout(self), (self.line, 1), self.browse, margins=(0, 0, 0, 0))
         self.setFocusProxy(self.line)
         self.line.textChanged.connect(lambda _: self.changed.emit())
-        self.browse.clicked.connect(lambda: self._browse())
 
     @property
     def path(self) -> Path | None:
@@ -199,19 +196,16 @@ class ImportDialog(QDialog):
         self._proposed = ""
         self.source = FileField("A recording", OTHERS)
         self.source.browse.setText("Recording…")
-        self.folder = QPushButton("Folder…")
-        self.folder.setToolTip("A folder of depth images")
+        self.folder = push_button("Folder…", "A folder of depth images", self._choose_folder)
         self.out = QLineEdit()
         self.out.setToolTip("The new recording, .mcap; an existing file is never replaced")
         self.about = theme.dim(QLabel(ABOUT, wordWrap=True))
         self.problem, self.made = QLabel(wordWrap=True), QLabel(wordWrap=True)
         theme.doubtful(self.problem)
         self.progress = JobProgress()
-        self.cancel, self.open_made = QPushButton("Cancel"), QPushButton("Open")
-        self.begin = QPushButton("Import")
-        self.cancel.setToolTip("Stop and remove the unfinished file")
-        self.open_made.setToolTip("Open the new recording in the window")
-        self.begin.setToolTip("Convert to a recording")
+        self.cancel = push_button("Cancel", "Stop and remove the unfinished file", self._cancel)
+        self.open_made = push_button("Open", "Open the new recording in the window", self._open)
+        self.begin = push_button("Import", "Convert to a recording", self._begin)
         self._summary: ConvertSummary | None = None
         self._lay_out()
         self._connect()
@@ -237,11 +231,7 @@ class ImportDialog(QDialog):
 
     def _connect(self) -> None:
         self.source.changed.connect(self._on_source)
-        self.folder.clicked.connect(lambda: self._choose_folder())
         self.out.textChanged.connect(lambda _: self._on_field())
-        self.begin.clicked.connect(lambda: self._begin())
-        self.cancel.clicked.connect(lambda: self._cancel())
-        self.open_made.clicked.connect(lambda: self._open())
         self._worker.progressed.connect(self.progress.show_step)
 
     def _choose_folder(self) -> None:

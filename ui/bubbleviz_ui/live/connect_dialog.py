@@ -17,7 +17,6 @@ from PySide6.QtWidgets import (
     QLineEdit,
     QListWidget,
     QListWidgetItem,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -42,7 +41,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import pair, single
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
 
 # Discovery of the topics of a source.
@@ -146,12 +145,10 @@ class ConnectDialog(QDialog):
             self.kind.addItem(title, kind)
         self.place = QComboBox()
         self.place.setEditable(True)
-        self.browse = QPushButton("Browse…")
-        self.browse.setAutoDefault(False)
-        self.browse.setToolTip("Choose a file")
-        self.folder = QPushButton("Folder…")
-        self.folder.setAutoDefault(False)
-        self.folder.setToolTip("Choose the folder of a rosbag2 recording")
+        self.browse = push_button("Browse…", "Choose a file", self._browse)
+        self.folder = push_button(
+            "Folder…", "Choose the folder of a rosbag2 recording", self._browse_folder
+        )
         self.topics = QListWidget()
         self.topics.setToolTip("Topics found with depth images or point clouds; choose one")
         self.kind.setToolTip("Type of live source")
@@ -159,9 +156,9 @@ class ConnectDialog(QDialog):
         self.sensor.setToolTip("Sensor file of this camera and membrane")
         for name in _sensors(sensor_name):
             self.sensor.addItem(AUTOMATIC if name == AUTO else name, name)
-        self.browse_sensor = QPushButton("Browse…")
-        self.browse_sensor.setAutoDefault(False)
-        self.browse_sensor.setToolTip("Choose a sensor file")
+        self.browse_sensor = push_button("Browse…", "Choose a sensor file", self._browse_sensor)
+        for button in (self.browse, self.folder, self.browse_sensor):
+            button.setAutoDefault(False)  # Enter connects
         self.second = QLineEdit()
         self.second.setPlaceholderText("Source of a second sensor, as below; empty: one sensor")
         self.second.setToolTip("Second sensor with the same sensor file, drawn beside the first")
@@ -237,9 +234,6 @@ class ConnectDialog(QDialog):
         self._typing_timer.timeout.connect(self._look)
         self.sensor.currentIndexChanged.connect(lambda _: self._look())
         self.topics.currentItemChanged.connect(lambda *_: self._show_source())
-        self.browse.clicked.connect(self._browse)
-        self.folder.clicked.connect(self._browse_folder)
-        self.browse_sensor.clicked.connect(self._browse_sensor)
         self._discovery.found.connect(self._on_found)
         self.buttons.accepted.connect(self.accept)
         self.buttons.rejected.connect(self.reject)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt
@@ -33,7 +34,7 @@ from bubbleviz_ui.model.source_facts import Badge, untrusted_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.panels.binding import control
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
+from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, tool_button
 from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.view3d.render_view import View
 
@@ -49,13 +50,10 @@ class RecordControls(QWidget):
     def __init__(self, live: LiveController) -> None:
         super().__init__()
         self._live = live
-        self.button = QToolButton()
-        self.button.setText("● Record")
-        self.button.setCheckable(True)
+        self.button = tool_button("● Record", "", live.toggle_recording, checkable=True)
         self.pre_roll = control(live.state, "pre_roll_s")
         self.pre_roll.setPrefix(f"{self.pre_roll.accessibleName()} ")
-        self.folder = QToolButton()
-        self.folder.setText("Folder…")
+        self.folder = tool_button("Folder…", "", self.choose_folder)
         self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
         self.note = QLineEdit()
         self.note.setPlaceholderText("Note, stamped with the time you began it")
@@ -75,8 +73,6 @@ class RecordControls(QWidget):
         self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         fill(QHBoxLayout(self), self._stack, margins=none)
         self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.button.clicked.connect(live.toggle_recording)
-        self.folder.clicked.connect(self.choose_folder)
         self.note.returnPressed.connect(self._save_note)
         self.note.editingFinished.connect(self.note.hide)
         self._show_folder()
@@ -177,16 +173,23 @@ class LiveBar(QFrame):
         self.state.setMinimumHeight(2 * self.state.fontMetrics().height())
         self.sensors: list[QToolButton] = []
         self.record = RecordControls(live)
-        self.zero = self._button(
-            "Zero gas", "Zero the gas pressure in the next contact-free frames (Ctrl+Shift+G)"
+        self.zero = tool_button(
+            "Zero gas",
+            "Zero the gas pressure in the next contact-free frames (Ctrl+Shift+G)",
+            live.zero_now,
         )
-        self.publish = self._button("Publish", "")
-        self.publish.setCheckable(True)
-        self.publish.setToolTip(
+        self.publish = tool_button(
+            "Publish",
             "Start or stop publishing patch, force, pose and diagnostics over Zenoh (address: Live "
-            "→ Publish at)"
+            "→ Publish at)",
+            live.toggle_publishing,
+            checkable=True,
         )
-        self.leave = self._button("Disconnect", "Disconnect, or stop connecting (Ctrl+Shift+L)")
+        self.leave = tool_button(
+            "Disconnect",
+            "Disconnect, or stop connecting (Ctrl+Shift+L)",
+            live.disconnect_all,
+        )
         self.counts = Elided(Qt.TextElideMode.ElideRight)
         theme.dim(self.counts)
         self._lay_out()
@@ -230,12 +233,6 @@ class LiveBar(QFrame):
 
     # -- inside -------------------------------------------------------------------------------
 
-    def _button(self, text: str, tip: str) -> QToolButton:
-        button = QToolButton()
-        button.setText(text)
-        button.setToolTip(tip)
-        return button
-
     def _lay_out(self) -> None:
         row, self._sensor_row = QWidget(), QWidget()
         self._row = fill(QHBoxLayout(self._sensor_row), margins=(0, 0, 0, 0), spacing=6)
@@ -252,9 +249,6 @@ class LiveBar(QFrame):
         live.state.source_changed.connect(self.show_all)
         live.state.frozen_changed.connect(self.update_status)
         live.state.connection_changed.connect(self.update_status)
-        self.zero.clicked.connect(live.zero_now)
-        self.publish.clicked.connect(live.toggle_publishing)
-        self.leave.clicked.connect(live.disconnect_all)
 
     def _make_sensors(self) -> None:
         """Create a button for each of two sensors."""
@@ -263,16 +257,15 @@ class LiveBar(QFrame):
             self._row.removeWidget(button)
             button.deleteLater()
         for number, sensor in enumerate(self._pair.sensors):
-            button = self._button(f"● {sensor.name}", SENSOR_TIP)
+            select = partial(self._pair.select, number)
+            button = tool_button(f"● {sensor.name}", SENSOR_TIP, select, checkable=True)
             own = QPalette()
             for role in (theme.ROLES.ButtonText, theme.ROLES.Highlight):
                 own.setColor(role, QColor(sensor.colour))
             own.setColor(theme.ROLES.HighlightedText, QColor(theme.ON_BADGE))
             button.setPalette(own)
-            button.setCheckable(True)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.setChecked(number == self._pair.selected)
-            button.clicked.connect(lambda _=False, number=number: self._pair.select(number))
             self._row.addWidget(button)
             self.sensors.append(button)
         self._sensor_row.setVisible(bool(self.sensors))

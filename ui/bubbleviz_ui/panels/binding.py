@@ -26,6 +26,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SettingInfo, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
+from bubbleviz_ui.shell.dock import tool_button
 
 Box = QAbstractButton | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
 Control = Box | QAction
@@ -196,15 +197,6 @@ def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str,
         bind_membership(action, state, field, name)
     button.setMenu(menu)
     return button, actions
-
-
-def tool_button(text: str, tip: str, *, checkable: bool = False) -> QToolButton:
-    """Tool button with a text."""
-    button = QToolButton()
-    button.setText(text)
-    button.setToolTip(tip)
-    button.setCheckable(checkable)
-    return button
 
 
 def options(box: QComboBox, titles: Mapping[Any, str]) -> QComboBox:

@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -34,7 +33,7 @@ from bubbleviz_ui.model.source_facts import STATUS, force_text, friction_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
 
 if TYPE_CHECKING:
@@ -70,8 +69,8 @@ class SettingColumn:
     def __init__(self, state: SessionState, number: int) -> None:
         self._state, self._number = state, number
         self.controls = {each.name: self._control(each.name) for each in fields(ComparedSetting)}
-        self.used = QPushButton(f"Use {COMPARED_NAMES[number]}")
-        self.used.clicked.connect(self.use)
+        tip = "Use this setting in the whole window; Ctrl+Z restores the previous one"
+        self.used = push_button(f"Use {COMPARED_NAMES[number]}", tip, self.use)
         self.values = {name: QLabel(DASH) for name in ROWS}
         for label in self.values.values():
             theme.bold(label)
@@ -134,21 +133,34 @@ class OtherRecording(QWidget):
         self._solved_options = self._current_options
         self._runs: tuple[Run, Run] | None = None
         self._aligned: AlignedRun | None = None
-        self.recording, self.sensor_file = QPushButton(), QPushButton()
+        self.recording = push_button(
+            "", "Recording to compare with the one that is open", self._choose_recording
+        )
+        self.sensor_file = push_button(
+            "",
+            "Sensor file of the other recording; without another recording: solve the open one "
+            "also with this file",
+            self._choose_sensor,
+        )
         self.align = QComboBox()
         self.align.addItem("By time", "time")
         self.align.addItem("By first contact", "contact")
-        self.start = QPushButton("Compare")
-        self.remove = QPushButton("Remove")
+        self.start = push_button(
+            "Compare",
+            "Solve all frames of the open recording and of the comparison chosen above, with the "
+            "settings of the window",
+            self._start,
+        )
+        self.remove = push_button(
+            "Remove",
+            "Remove the other recording and sensor file from the comparison",
+            self._forget,
+        )
         self.drawn = QCheckBox("Second membrane")
         self.result = QLabel(wordWrap=True)
         self._lay_out()
         self._forget()
-        self.recording.clicked.connect(self._choose_recording)
-        self.sensor_file.clicked.connect(self._choose_sensor)
         self.align.currentIndexChanged.connect(self._align)
-        self.start.clicked.connect(self._start)
-        self.remove.clicked.connect(self._forget)
         self.drawn.toggled.connect(self._draw_membrane)
         self.worker.progressed.connect(self._show_progress)
         state.source_changed.connect(self._drop)
@@ -159,16 +171,6 @@ class OtherRecording(QWidget):
         self.align.setAccessibleName("Alignment")
         self.align.setToolTip(
             "Align the recordings by the time since their start, or since first contact"
-        )
-        self.start.setToolTip(
-            "Solve all frames of the open recording and of the comparison chosen above, with the "
-            "settings of the window"
-        )
-        self.remove.setToolTip("Remove the other recording and sensor file from the comparison")
-        self.recording.setToolTip("Recording to compare with the one that is open")
-        self.sensor_file.setToolTip(
-            "Sensor file of the other recording; without another recording: solve the open one "
-            "also with this file"
         )
         self.drawn.setToolTip(
             "After comparing, draw the other membrane next to that of the open recording, at the "
@@ -338,8 +340,6 @@ class ComparePanel(QWidget):
         for each in (a, b):
             for widget in (*each.controls.values(), each.used):
                 widget.setMinimumWidth(94)
-            tip = "Use this setting in the whole window; Ctrl+Z restores the previous one"
-            each.used.setToolTip(tip)
         grid.setColumnStretch(1, 1)
         grid.setColumnStretch(2, 1)
         self.hint = theme.dim(QLabel(NEEDS_TRUTH, wordWrap=True))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, QSize, QTimer
 from PySide6.QtGui import QResizeEvent
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.registry import PLOTS
@@ -21,7 +21,7 @@ from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.panels.wrench_plot import WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill, scrolled
+from bubbleviz_ui.shell.dock import fill, push_button, scrolled
 
 if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import AlignedRun
@@ -52,10 +52,14 @@ class PlotsPanel(QWidget):
         self.kappa: KappaPlot | None = None
         self.wrench: WrenchPlot | None = None
         self.choose, self.boxes = menu_button(state, "plots")
-        self.analyse = QPushButton("Analyse all frames")
-        self.analyse.setToolTip("Compute these plots for all frames, in the background")
-        self.cancel = QPushButton("Cancel")
-        self.cancel.setToolTip("Stop and keep the frames computed so far")
+        self.analyse = push_button(
+            "Analyse all frames",
+            "Compute these plots for all frames, in the background",
+            controller.analysis.start,
+        )
+        self.cancel = push_button(
+            "Cancel", "Stop and keep the frames computed so far", controller.analysis.stop
+        )
         self.progress = QProgressBar()
         self.statistics = RangeTable()
         self.hint = theme.dim(QLabel("Click in a plot to show that frame"))
@@ -93,8 +97,6 @@ class PlotsPanel(QWidget):
         self.cancel.hide()
 
     def _connect(self) -> None:
-        self.analyse.clicked.connect(lambda: self._controller.analysis.start())
-        self.cancel.clicked.connect(lambda: self._controller.analysis.stop())
         self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._on_shown)
         self._host.seen.connect(self._on_seen)

@@ -16,10 +16,10 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SPEEDS, Settings
 from bubbleviz_ui.model.units import DASH
-from bubbleviz_ui.panels.binding import bind, control, tool_button
+from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
-from bubbleviz_ui.shell.dock import Steady, fill
+from bubbleviz_ui.shell.dock import Steady, fill, tool_button
 
 PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
@@ -51,11 +51,13 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.first = tool_button("▮◀", "First frame (Home)")
-        self.back = tool_button("◂", "Previous frame (←)")
-        self.play = tool_button(PAUSE, "Play or pause (Space)")
-        self.forward = tool_button("▸", "Next frame (→)")
-        self.last = tool_button("▶▮", "Last frame (End)")
+        self.first = tool_button("▮◀", "First frame (Home)", lambda: state.seek(0))
+        self.back = tool_button("◂", "Previous frame (←)", lambda: state.step(-1))
+        self.play = tool_button(
+            PAUSE, "Play or pause (Space)", lambda: state.set_playing(not state.playing)
+        )
+        self.forward = tool_button("▸", "Next frame (→)", lambda: state.step(1))
+        self.last = tool_button("▶▮", "Last frame (End)", state.seek_last)
         self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
         self._timeline_timer = QTimer(self, singleShot=True, interval=TIMELINE_EVERY_MS)
@@ -67,10 +69,14 @@ class PlaybackPanel(QWidget):
         self.loop, self.mark, self.freeze = (
             tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
         )
-        self.go_live = tool_button("Live", "Go live: show the newest frame (N)")
+        self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
+        self.freeze.clicked.connect(state.freeze)
+        self.go_live = tool_button(
+            "Live", "Go live: show the newest frame (N)", lambda: state.freeze(False)
+        )
         self._lay_out()
         self._show_all()
-        self._connect()
+        bind(self.loop, state, "loop")
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._on_history)
         for changed in (state.source_changed, state.settings_changed, state.playing_changed,
@@ -80,9 +86,11 @@ class PlaybackPanel(QWidget):
 
     def _step_button(self, seconds: float) -> QToolButton:
         words, keys = SECOND_STEPS[seconds]
-        button = tool_button(f"{words} s", f"{words} seconds ({keys})")
-        button.clicked.connect(lambda: self._state.step_seconds(seconds))
-        return button
+        return tool_button(
+            f"{words} s",
+            f"{words} seconds ({keys})",
+            lambda: self._state.step_seconds(seconds),
+        )
 
     def _lay_out(self) -> None:
         back, on = list(self.second_steps.values())[:2], list(self.second_steps.values())[2:]
@@ -102,18 +110,6 @@ class PlaybackPanel(QWidget):
             spacing=0,
         )
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
-
-    def _connect(self) -> None:
-        state = self._state
-        self.first.clicked.connect(lambda: state.seek(0))
-        self.last.clicked.connect(lambda: state.seek(state.facts.frames - 1 if state.facts else 0))
-        self.back.clicked.connect(lambda: state.step(-1))
-        self.forward.clicked.connect(lambda: state.step(1))
-        self.play.clicked.connect(lambda: state.set_playing(not state.playing))
-        bind(self.loop, state, "loop")
-        self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
-        self.freeze.clicked.connect(state.freeze)
-        self.go_live.clicked.connect(lambda: state.freeze(False))
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
         if not by_playback:  # else shown when the frame is drawn

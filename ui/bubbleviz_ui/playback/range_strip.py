@@ -10,7 +10,6 @@ from PySide6.QtCore import QEvent, QRectF, QSize, Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QApplication,
-    QPushButton,
     QSizePolicy,
     QWidget,
 )
@@ -20,6 +19,7 @@ from bubbleviz.diagnostics import Statistics, statistics
 from bubbleviz.recordings import TimeAxis
 from bubbleviz_ui.model.units import DASH, Unit
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.dock import push_button
 from bubbleviz_ui.shell.table import ROW, Table
 
 HEIGHT = 16
@@ -226,13 +226,15 @@ class RangeTable(Table):
 
     def __init__(self) -> None:
         super().__init__()
+        self._text = ""
         # placed by the owner; visible with the table
-        self.copy = QPushButton("Copy table")
-        self.copy.setToolTip("Copy mean, spread and extremes over the range, for a spreadsheet")
+        self.copy = push_button(
+            "Copy table",
+            "Copy mean, spread and extremes over the range, for a spreadsheet",
+            lambda: QApplication.clipboard().setText(self._text),
+        )
         self.setRowCount(len(NUMBERS) + 1)
         self.setVerticalHeaderLabels([*NUMBERS.values(), "frames"])
-        self._text = ""
-        self.copy.clicked.connect(lambda: QApplication.clipboard().setText(self._text))
         self.show_range(0, 0, [], None, "")
 
     def show_range(

@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -32,7 +31,7 @@ from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import file_to_open, name_of_output, new_file
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
@@ -228,24 +227,37 @@ class PosePanel(QWidget):
         self.unit = control(state, "pose_unit")
         self.start = StartBoxes(state.units)
         self.search = QCheckBox("Search pose")
-        self.move_in_view = QPushButton("Move in view")
-        self.from_here = QPushButton("Start from here")
-        self.once = QPushButton("Fit once")
-        self.once.setToolTip(
-            "Register the object in this frame, both stages (section VI of the paper)"
+        self.move_in_view = push_button(
+            "Move in view",
+            "Drag the box in the view: its sides rotate the object, the ball in the middle moves "
+            "it",
         )
-        self.track = QPushButton("Track")
-        self.reset = QPushButton("Reset")
+        self.from_here = push_button(
+            "Start from here", "Use the pose below as the initial pose", self._start_here
+        )
+        self.once = push_button(
+            "Fit once",
+            "Register the object in this frame, both stages (section VI of the paper)",
+            session.fit_once,
+        )
+        self.track = push_button("Track", Settings.info("pose_track").tip, session.track)
+        self.reset = push_button(
+            "Reset", "Discard all poses and stop tracking (Ctrl+Shift+F)", session.reset
+        )
         self.patch = QCheckBox(LAYERS["object_patch"].title)
         self.stage = control(state, "pose_stage")
-        self.copy = QPushButton("Copy")
-        self.copy.setToolTip("T_B_O as text: position in m, quaternion x y z w, 4×4 matrix")
-        self.csv, self.tum = QPushButton("CSV…"), QPushButton("TUM…")
-        self.csv.setToolTip(
-            "Every processed frame with status and T_B_O in m; a lost frame has the last good pose"
+        self.copy = push_button(
+            "Copy", "T_B_O as text: position in m, quaternion x y z w, 4×4 matrix", self._copy
         )
-        self.tum.setToolTip(
-            "TUM trajectory of the frames in which the object was found: time in s, T_B_O in m"
+        self.csv = push_button(
+            "CSV…",
+            "Every processed frame with status and T_B_O in m; a lost frame has the last good pose",
+            lambda: self._export("csv"),
+        )
+        self.tum = push_button(
+            "TUM…",
+            "TUM trajectory of the frames in which the object was found: time in s, T_B_O in m",
+            lambda: self._export("tum"),
         )
         self.values = {name: QLabel() for name in NUMBERS}
         self._fill()
@@ -285,13 +297,7 @@ class PosePanel(QWidget):
         self.search.setChecked(True)
         self.search.setToolTip("Search all orientations instead of starting from an initial pose")
         self.move_in_view.setCheckable(True)
-        self.move_in_view.setToolTip(
-            "Drag the box in the view: its sides rotate the object, the ball in the middle moves it"
-        )
-        self.from_here.setToolTip("Use the pose below as the initial pose")
         self.track.setCheckable(True)
-        self.track.setToolTip(Settings.info("pose_track").tip)
-        self.reset.setToolTip("Discard all poses and stop tracking (Ctrl+Shift+F)")
         self.patch.setToolTip(LAYERS["object_patch"].tip)
 
     def _lay_out(self) -> None:
@@ -330,13 +336,6 @@ class PosePanel(QWidget):
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)
         self.move_in_view.toggled.connect(self.gizmo)
-        self.from_here.clicked.connect(lambda: self._start_here())
-        self.once.clicked.connect(lambda: session.fit_once())
-        self.track.clicked.connect(lambda on: session.track(on))
-        self.reset.clicked.connect(lambda: session.reset())
-        self.copy.clicked.connect(lambda: self._copy())
-        self.csv.clicked.connect(lambda: self._export("csv"))
-        self.tum.clicked.connect(lambda: self._export("tum"))
         self.curves.seen.connect(self._draw_curves)
         session.changed.connect(self._on_changed)
         state.settings_changed.connect(self._on_settings)

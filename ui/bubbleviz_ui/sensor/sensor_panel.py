@@ -11,7 +11,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -25,7 +24,7 @@ from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
 from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import new_file
 
 # Texts about a sensor and its file. No Qt.
@@ -185,15 +184,21 @@ class SensorPanel(QWidget):
         self.recording = QLineEdit(readOnly=True)
         self.rows = {value.key: ValueRow(value, state.units) for value in VALUES}
         self.problem = QLabel(wordWrap=True)
-        self.edit, self.reload = QPushButton("Edit a copy…"), QPushButton("Reload")
-        self.save, self.cancel = QPushButton("Save as…"), QPushButton("Cancel")
+        self.edit = push_button(
+            "Edit a copy…",
+            "Edit the values and save them as a new sensor file; this file is not changed",
+            self._begin,
+        )
+        self.reload = push_button("Reload", "Read the sensor file again", self._reload)
+        self.save = push_button(
+            "Save as…",
+            "Write a sensor file, with its mesh and pixels, and use it",
+            self._choose_file,
+        )
+        self.cancel = push_button("Cancel", "Discard the changes", self._end)
         self._watch = SensorWatch(self)
         self._lay_out()
         self._show()
-        self.edit.clicked.connect(self._begin)
-        self.reload.clicked.connect(self._reload)
-        self.save.clicked.connect(self._choose_file)
-        self.cancel.clicked.connect(self._end)
         for box in (self.name, *(row.box for row in self.rows.values())):
             box.textEdited.connect(self._check)
         self._watch.changed.connect(self._on_difference)
@@ -202,12 +207,6 @@ class SensorPanel(QWidget):
 
     def _lay_out(self) -> None:
         self.name.setToolTip("Name of the sensor")
-        self.edit.setToolTip(
-            "Edit the values and save them as a new sensor file; this file is not changed"
-        )
-        self.reload.setToolTip("Read the sensor file again")
-        self.save.setToolTip("Write a sensor file, with its mesh and pixels, and use it")
-        self.cancel.setToolTip("Discard the changes")
         for label in (self.problem, self.difference):
             theme.doubtful(label)
         self._form = form = QFormLayout()

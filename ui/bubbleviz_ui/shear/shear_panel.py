@@ -10,7 +10,6 @@ from PySide6.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QVBoxLayout,
     QWidget,
 )
@@ -23,7 +22,7 @@ from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import control, form
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.theme import BLUE
 
 # Plot of the tangential force and its 95 % region.
@@ -143,9 +142,10 @@ class ShearPanel(QWidget):
         self.reference.setToolTip(
             "Contact-free colour images from which motion is measured, or why there are none"
         )
-        self.search_reference = QPushButton("Collect again")
-        self.search_reference.setToolTip(
-            "Find the contact-free colour images again; do not touch a live sensor meanwhile"
+        self.search_reference = push_button(
+            "Collect again",
+            "Find the contact-free colour images again; do not touch a live sensor meanwhile",
+            controller.find_reference,
         )
         self.flow = control(state, "flow_preset")
         self.state = QLabel(DASH, wordWrap=True)
@@ -155,10 +155,10 @@ class ShearPanel(QWidget):
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
         self.plot = ShearPlot()
         self.plot.seen.connect(self._write)
-        self.copy = QPushButton("Copy")
-        self.copy.setToolTip("Copy these numbers as text, with their units")
+        self.copy = push_button("Copy", "Copy these numbers as text, with their units", self._copy)
         self._lay_out()
-        self._connect(state, controller)
+        controller.shown.connect(self._write)
+        state.settings_changed.connect(self._on_settings)
 
     def _lay_out(self) -> None:
         numbers, settings = QFormLayout(), form(self.flow)
@@ -178,12 +178,6 @@ class ShearPanel(QWidget):
             1,
             margins=(12, 10, 12, 12),
         )
-
-    def _connect(self, state: SessionState, controller: Controller) -> None:
-        self.search_reference.clicked.connect(controller.find_reference)
-        self.copy.clicked.connect(self._copy)
-        controller.shown.connect(self._write)
-        state.settings_changed.connect(self._on_settings)
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if names & (UNIT_CHOICES.keys() | {"panels"}):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
-from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, Signal, SignalInstance
 from PySide6.QtGui import QCloseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
+    QAbstractButton,
     QBoxLayout,
     QDockWidget,
     QFrame,
@@ -17,8 +18,10 @@ from PySide6.QtWidgets import (
     QLayout,
     QLayoutItem,
     QMainWindow,
+    QPushButton,
     QScrollArea,
     QStyle,
+    QToolButton,
     QWidget,
 )
 
@@ -267,6 +270,7 @@ MIN_TEXT = 240
 """Smallest width of a long text next to controls, screen pixels."""
 
 Item = QWidget | QLayout | int
+A = TypeVar("A", bound=QAbstractButton)
 B = TypeVar("B", bound=QBoxLayout)
 
 
@@ -413,6 +417,32 @@ def _widths(row: list[QLayoutItem], room: int) -> list[tuple[QLayoutItem, int]]:
 
 def _height(item: QLayoutItem, width: int) -> int:
     return item.heightForWidth(width) if item.hasHeightForWidth() else item.sizeHint().height()
+
+
+Do = Callable[..., object] | SignalInstance
+"""What a click on a button does: calls a function, of a checkable one with its state, or emits."""
+
+
+def push_button(text: str, tip: str = "", do: Do | None = None) -> QPushButton:
+    """Push button with its tool tip and what it does."""
+    return _set_up(QPushButton(text), tip, do)
+
+
+def tool_button(
+    text: str, tip: str, do: Do | None = None, *, checkable: bool = False
+) -> QToolButton:
+    """Tool button with its tool tip and what it does."""
+    button = QToolButton()
+    button.setText(text)
+    button.setCheckable(checkable)
+    return _set_up(button, tip, do)
+
+
+def _set_up(button: A, tip: str, do: Do | None) -> A:
+    button.setToolTip(tip)
+    if do is not None:
+        button.clicked.connect(do)
+    return button
 
 
 class Steady(QLabel):

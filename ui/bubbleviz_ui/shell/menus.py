@@ -133,7 +133,7 @@ class Menus:
         ):
             self._add(menu, title, partial(state.step_seconds, seconds), keys)
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
-        self._add(menu, "&Last frame", self._last_frame, "End")
+        self._add(menu, "&Last frame", state.seek_last, "End")
         self._add(menu, "&Go to frame…", self._go_to_frame, "Ctrl+G")
         for title, kind, key in (
             ("{} contact", CONTACT, "Ctrl+Pg"),
@@ -295,11 +295,6 @@ class Menus:
             first, last = state.play_range or (0, state.facts.frames - 1)
             here = state.playhead
             state.set_range((first, here) if end else (here, last))
-
-    def _last_frame(self) -> None:
-        facts = self._window.state.facts
-        if facts is not None:
-            self._window.state.seek(facts.frames - 1)
 
     def _go_to_frame(self) -> None:
         state = self._window.state

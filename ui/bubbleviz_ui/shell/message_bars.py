@@ -16,14 +16,12 @@ from PySide6.QtWidgets import (
     QLabel,
     QMenuBar,
     QProgressBar,
-    QPushButton,
-    QToolButton,
     QWidget,
 )
 
 from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
+from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, push_button, tool_button
 
 BUSY_AFTER_MS = 400
 """Delay before the progress bar appears."""
@@ -57,20 +55,21 @@ class MessageBar(_Bar):
 
     def __init__(self, parent: QWidget) -> None:
         self._open: list[UserMessage] = []
-        self.more = QPushButton()
-        self.more.setToolTip("All messages of this session")
-        self.copy = QPushButton("Copy details")
-        self.copy.setToolTip("Copy the open messages with details, for a bug report")
-        self.dismiss = QPushButton("Dismiss")
-        self.dismiss.setToolTip("Remove this message; Help → Messages lists all")
+        self.more = push_button("", "All messages of this session")
+        self.copy = push_button(
+            "Copy details",
+            "Copy the open messages with details, for a bug report",
+            lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open)),
+        )
+        self.dismiss = push_button(
+            "Dismiss",
+            "Remove this message; Help → Messages lists all",
+            lambda: self._keep(lambda message: message is not self._shown),
+        )
         super().__init__(parent, self.more, self.copy, self.dismiss)
         self.kind.show()
         self.setAutoFillBackground(True)
         self.more.clicked.connect(self.open_requested)
-        self.copy.clicked.connect(
-            lambda: QApplication.clipboard().setText("\n".join(m.report() for m in self._open))
-        )
-        self.dismiss.clicked.connect(lambda: self._keep(lambda message: message is not self._shown))
 
     def show_message(self, message: UserMessage) -> None:
         """Show a message; a repeated one replaces the earlier."""
@@ -123,18 +122,23 @@ class NoticeBar(QFrame):
         self._bar, self._room = bar, QSize()
         self._file: Path | None = None
         self.label = Elided(Qt.TextElideMode.ElideMiddle)  # keep both ends of a path
-        self.open = _button("Open", "Open the file here, or in the desktop's program for its kind")
-        self.folder = _button("Show in folder", "Open the folder of the file")
-        self.dismiss = _button("Dismiss", "Close; Help → Messages lists all")
+        self.open = tool_button(
+            "Open",
+            "Open the file here, or in the desktop's program for its kind",
+            lambda: self.open_requested.emit(self._file),
+        )
+        self.folder = tool_button(
+            "Show in folder",
+            "Open the folder of the file",
+            lambda: self.open_requested.emit(self._file and self._file.parent),
+        )
+        self.dismiss = tool_button("Dismiss", "Close; Help → Messages lists all", self.hide)
         buttons = self.open, self.folder, self.dismiss
+        for button in buttons:
+            button.setAutoRaise(True)
         fill(QHBoxLayout(self), (self.label, 1), *buttons, margins=(8, 0, 4, 0), spacing=2)
         self._due = QTimer(self, interval=NOTICE_MS)
         self._due.timeout.connect(self._hide_unless_hovered)
-        self.open.clicked.connect(lambda: self.open_requested.emit(self._file))
-        self.folder.clicked.connect(
-            lambda: self.open_requested.emit(self._file and self._file.parent)
-        )
-        self.dismiss.clicked.connect(self.hide)
         self.hide()
         bar.setCornerWidget(self)
 
@@ -165,22 +169,13 @@ class NoticeBar(QFrame):
             self.hide()
 
 
-def _button(text: str, tip: str) -> QToolButton:
-    button = QToolButton()
-    button.setText(text)
-    button.setToolTip(tip)
-    button.setAutoRaise(True)
-    return button
-
-
 class BusyBar(_Bar):
     """Progress of opening or closing, shown if it takes a while."""
 
     def __init__(self, parent: QWidget) -> None:
         self.progress = QProgressBar(minimum=0, maximum=0)
         self.progress.setFixedWidth(160)
-        self.cancel = QPushButton("Cancel")
-        self.cancel.setToolTip("Stop; the current source stays open")
+        self.cancel = push_button("Cancel", "Stop; the current source stays open")
         super().__init__(parent, self.progress, self.cancel)
         self._due = QTimer(self, singleShot=True, interval=BUSY_AFTER_MS)
         self._due.timeout.connect(self.show)
@@ -211,10 +206,9 @@ class HintBar(_Bar):
     """First-run hint."""
 
     def __init__(self, parent: QWidget) -> None:
-        self.understood = QPushButton("Got it")
+        self.understood = push_button("Got it", "", self.hide)
         super().__init__(parent, self.understood)
         self.label.setText(HINT)
-        self.understood.clicked.connect(self.hide)
 
 
 # A row of step buttons with number, name and state.
@@ -248,8 +242,7 @@ class StepButtons(QButtonGroup):
         self._titles = titles
         self.row = QWidget()  # Contains the buttons
         for number in range(len(titles)):
-            button = QToolButton()
-            button.setCheckable(True)
+            button = tool_button("", "", checkable=True)
             font = button.font()
             font.setPointSize(SMALL)
             button.setFont(font)

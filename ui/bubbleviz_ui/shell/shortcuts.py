@@ -17,14 +17,13 @@ from PySide6.QtWidgets import (
     QLineEdit,
     QMenu,
     QMenuBar,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 
 # Fuzzy search: letters in order, scored by adjacency and word starts.
 
@@ -205,10 +204,12 @@ class ShortcutsDialog(QDialog):
         self.table = QTableWidget(len(shortcuts.actions), 2)
         self.keys = QKeySequenceEdit()
         self.keys.setToolTip("Press the new keys of the selected action here, then Set")
-        self.set = QPushButton("&Set")
-        self.clear = QPushButton("&No keys")
-        self.reset = QPushButton("&Default")
-        self.reset_all = QPushButton("&Reset all")
+        self.set = push_button("&Set", "", lambda: self._set(self.keys.keySequence()))
+        self.clear = push_button("&No keys", "", lambda: self._set(QKeySequence()))
+        self.reset = push_button(
+            "&Default", "", lambda: self._show_problem(shortcuts.reset(self.name))
+        )
+        self.reset_all = push_button("&Reset all", "", shortcuts.reset_all)
         self.problem = QLabel(wordWrap=True)
         self.problem.setObjectName("problem")
         self._lay_out()
@@ -243,10 +244,6 @@ class ShortcutsDialog(QDialog):
         self.search.textChanged.connect(self._filter)
         self.table.currentCellChanged.connect(lambda *_: self._show_keys())
         self.table.cellDoubleClicked.connect(lambda *_: self.keys.setFocus())
-        self.set.clicked.connect(lambda: self._set(self.keys.keySequence()))
-        self.clear.clicked.connect(lambda: self._set(QKeySequence()))
-        self.reset.clicked.connect(lambda: self._show_problem(self._shortcuts.reset(self.name)))
-        self.reset_all.clicked.connect(self._shortcuts.reset_all)
         self._shortcuts.edited.connect(self._fill)
 
     def _set(self, keys: QKeySequence) -> None:

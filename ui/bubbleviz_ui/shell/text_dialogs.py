@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QPlainTextEdit,
-    QPushButton,
     QTextBrowser,
     QVBoxLayout,
     QWidget,
@@ -25,7 +24,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.sensor.sensor_panel import title_text
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button
 
 SIZE = (640, 360)  # px
 PAGES_SIZE = (860, 620)
@@ -41,9 +40,9 @@ class TextDialog(QDialog):
         self.setWindowTitle(title)
         self.resize(*SIZE)
         self.text = QPlainTextEdit(readOnly=True)
-        self.copy = QPushButton("&Copy all")
-        self.copy.setToolTip(copied)
-        self.copy.clicked.connect(lambda: QApplication.clipboard().setText(self.report()))
+        self.copy = push_button(
+            "&Copy all", copied, lambda: QApplication.clipboard().setText(self.report())
+        )
         fill(QVBoxLayout(self), self.text, fill(QHBoxLayout(), 1, self.copy))
 
     def report(self) -> str:
@@ -111,12 +110,9 @@ class PagesDialog(QDialog):
         self.page = QTextBrowser()
         self.page.setOpenExternalLinks(True)
         self.page.setSearchPaths([str(folder)])
-        self.home, self.back = QPushButton("&Contents"), QPushButton("&Back")
-        self.home.setToolTip("First page")
-        self.back.setToolTip("Previous page")
+        self.home = push_button("&Contents", "First page", self.page.home)
+        self.back = push_button("&Back", "Previous page", self.page.backward)
         self.back.setEnabled(False)
-        self.home.clicked.connect(self.page.home)
-        self.back.clicked.connect(self.page.backward)
         self.page.backwardAvailable.connect(self.back.setEnabled)
         self.search, self.missed = QLineEdit(placeholderText="Search all pages"), QLabel()
         self.search.setToolTip("Enter shows the next place with this text")

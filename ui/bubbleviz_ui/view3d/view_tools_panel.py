@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from operator import itemgetter
 from pathlib import Path
 
@@ -12,7 +13,6 @@ from PySide6.QtWidgets import (
     QButtonGroup,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QSlider,
     QSpinBox,
     QVBoxLayout,
@@ -25,9 +25,9 @@ from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
-from bubbleviz_ui.panels.binding import bind, control, form, tool_button
+from bubbleviz_ui.panels.binding import bind, control, form
 from bubbleviz_ui.panels.images_panel import probe_lines
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, push_button, tool_button
 from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
     name_of_output,
@@ -89,12 +89,17 @@ class ViewTools(QWidget):
 
     def _make_buttons(self) -> None:
         self.views = {
-            name: tool_button(title, f"View from the {name}, in the bubble frame B")
+            name: tool_button(
+                title,
+                f"View from the {name}, in the bubble frame B",
+                partial(self._scene.look_from, name),
+            )
             for name, title in VIEWS.items()
         }
         self.views["camera"].setToolTip("View from the depth camera")
         self.tools = {
-            name: tool_button(title, tip, checkable=True) for name, (title, tip) in TOOLS.items()
+            name: tool_button(title, tip, lambda _, name=name: self.use_tool(name), checkable=True)
+            for name, (title, tip) in TOOLS.items()
         }
         group = QButtonGroup(self)
         for button in self.tools.values():
@@ -112,8 +117,9 @@ class ViewTools(QWidget):
         self.section_at.setToolTip(Settings.info("section_at_m").tip)
         self.section_text = QLabel()
         self.width_box, self.height_box = _pixels(), _pixels()
-        self.save = QPushButton("Save…")
-        self.save.setToolTip("Save a picture of the 3-D view at this size, PNG")
+        self.save = push_button(
+            "Save…", "Save a picture of the 3-D view at this size, PNG", self._choose_file
+        )
         tip = "Rotate about the vertical automatically, 30° per second"
         self.turn = tool_button("Turntable", tip, checkable=True)
 
@@ -148,12 +154,7 @@ class ViewTools(QWidget):
             bind(box, state, "picture_size", itemgetter(side), lambda _: self._picture_size())
 
     def _connect(self, controller: Controller) -> None:
-        for viewpoint, button in self.views.items():
-            button.clicked.connect(lambda _, name=viewpoint: self._scene.look_from(name))
-        for name, button in self.tools.items():
-            button.clicked.connect(lambda _, name=name: self.use_tool(name))
         self.turn.toggled.connect(self.turntable.set_turning)
-        self.save.clicked.connect(self._choose_file)
         self._view.clicked.connect(self._on_clicked)
         self.picked.changed.connect(self._on_picked)
         controller.opened.connect(self._on_opened)
