@@ -17,7 +17,7 @@ from bubbleviz.recordings import checked_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.exporting import KINDS
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 FRAMES = range(58, 90)  # approach, press, hold
 SIZE = (720, 480)
@@ -30,7 +30,7 @@ def film(recording: Path, out: Path) -> None:
     scene = load_scene("press")
     with (
         screen_for_pictures(1280, 800),
-        window_session(sensor, recording, FRAMES.start, scene) as session,
+        window_session(Startup(sensor, recording, FRAMES.start, scene)) as session,
     ):
         window = session.window
         window.resize(1280, 800)

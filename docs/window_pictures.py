@@ -32,7 +32,7 @@ from bubbleviz_ui.model.settings import ComparedSetting, ImageName, Settings
 from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
-from bubbleviz_ui.window_session import WindowSession, window_session
+from bubbleviz_ui.window_session import Startup, WindowSession, window_session
 
 FRAME = 80  # of the real press: held
 MARKED = 75
@@ -224,7 +224,7 @@ def live_pair(session: WindowSession, out: Path) -> None:
 @contextmanager
 def opened(*arguments: Any, **named: Any) -> Iterator[WindowSession]:
     """A window in sight, with everything of its source drawn."""
-    with window_session(*arguments, **named) as session:
+    with window_session(Startup(*arguments, **named)) as session:
         session.window.resize(*LARGE)
         session.window.show()
         session.wait_until_drawn()

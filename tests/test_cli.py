@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from importlib.metadata import EntryPoints
+from types import SimpleNamespace
 
 import click
 import numpy as np
@@ -16,7 +17,8 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.live import LiveSession
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.window_session import Startup
 from tests.program import output_of, refusal, run
 
 
@@ -166,12 +168,11 @@ def windows(monkeypatch):
     """What the commands ask of the window, in place of doing it."""
     import bubbleviz_ui.app
 
-    asked: list[tuple[str, tuple[object, ...]]] = []
+    asked: list[SimpleNamespace] = []
 
     def record(name):
-        def asking(sensor, *rest, fresh=False, truth=None, overwrite=False):
-            words = (*(("fresh",) if fresh else ()), *((truth,) if truth is not None else ()))
-            asked.append((name, (sensor.name, *rest, *words)))
+        def asking(startup, out=None, *, fresh=False, overwrite=False):
+            asked.append(SimpleNamespace(name=name, startup=startup, out=out, fresh=fresh))
             return 0
 
         return asking
@@ -184,8 +185,9 @@ def windows(monkeypatch):
 def test_without_a_command_the_window_opens_with_the_synthetic_sensor(windows):
     output_of()
     output_of("--fresh")
-    name = "soft-bubble pico flexx"
-    assert windows == [("window", (name,)), ("window", (name, "fresh"))]
+    sensor = load_sensor("pico_flexx_75mm")
+    assert [each.startup for each in windows] == 2 * [Startup(sensor)]
+    assert [each.fresh for each in windows] == [False, True]
 
 
 def test_exit_code_of_the_window_is_that_of_the_command(windows, monkeypatch, pico_recording):
@@ -198,8 +200,9 @@ def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
 ):
     opened: list[Sensor] = []
 
-    def window(sensor, *_, live=None, **__):
-        opened.append(sensor if live is None else LiveSession(live).sensors[0].sensor)
+    def window(startup, **_):
+        live = startup.live
+        opened.append(startup.sensor if live is None else LiveSession(live).sensors[0].sensor)
         return 0
 
     monkeypatch.setattr("bubbleviz_ui.app.run_window", window)
@@ -215,8 +218,9 @@ def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
 def test_open_selects_and_reports_the_matching_preset(windows, pico_recording):
     assert "pico_flexx_75mm" in output_of("open", pico_recording)
     output_of("--fresh", "open", pico_recording)
-    asked = ("soft-bubble pico flexx", pico_recording, None, None)
-    assert windows == [("window", asked), ("window", (*asked, "fresh"))]
+    startup = Startup(load_sensor("pico_flexx_75mm"), pico_recording)
+    assert [each.startup for each in windows] == 2 * [startup]
+    assert [each.fresh for each in windows] == [False, True]
 
 
 def test_open_at_a_frame_and_screenshot(windows, pico_recording, tmp_path):
@@ -224,11 +228,9 @@ def test_open_at_a_frame_and_screenshot(windows, pico_recording, tmp_path):
     output_of(*words)
     out = tmp_path / "out.png"
     assert output_of(*words, "--screenshot", out) == f"wrote {out}\n"
-    name = "soft-bubble pico flexx"
-    assert windows == [
-        ("window", (name, pico_recording, 7, None)),
-        ("screenshot", (name, pico_recording, 7, out, None)),
-    ]
+    startup = Startup(load_sensor("pico_flexx_75mm"), pico_recording, 7)
+    assert [each.startup for each in windows] == 2 * [startup]
+    assert [(each.name, each.out) for each in windows] == [("window", None), ("screenshot", out)]
 
 
 def test_open_passes_scene_and_ground_truth_to_window_and_screenshot(
@@ -244,7 +246,8 @@ def test_open_passes_scene_and_ground_truth_to_window_and_screenshot(
         words = ["open", pico_recording, option, given]
         output_of(*words)
         output_of(*words, "--screenshot", tmp_path / "out.png")
-        assert [arguments[-1] for _, arguments in windows] == 2 * [taken]
+        chosen = [getattr(each.startup, option.removeprefix("--")) for each in windows]
+        assert chosen == 2 * [taken]
         windows.clear()
 
 

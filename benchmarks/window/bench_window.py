@@ -11,7 +11,7 @@ from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.live.connection import LiveRun
-from bubbleviz_ui.window_session import WindowSession, window_session
+from bubbleviz_ui.window_session import Startup, WindowSession, window_session
 
 SIZE = (1280, 800)  # pixels: a small laptop's screen
 
@@ -26,7 +26,7 @@ def bench_window(
     """A window as `window_session` opens it, on its own virtual screen."""
     with (
         screen_for_pictures(*SIZE),
-        window_session(sensor, recording, frame, live=live) as session,
+        window_session(Startup(sensor, recording, frame, live=live)) as session,
     ):
         session.window.resize(*SIZE)
         session.window.show()

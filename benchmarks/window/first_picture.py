@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bubbleviz.cli.command_line  # noqa: F401
 from bubbleviz_ui.startup_imports import import_the_backend
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 FIRST = "first picture at"
 
@@ -18,7 +18,7 @@ def first_picture(recording: str, sensor: str | None) -> None:
     from bubbleviz.recordings import checked_sensor  # by what was imported just now
 
     _, chosen = checked_sensor(Path(recording), sensor)
-    with window_session(chosen, Path(recording), None) as session:
+    with window_session(Startup(chosen, Path(recording))) as session:
         seen: list[float] = []
         session.window.view.rendered.connect(lambda: seen.append(time.time()))
         session.window.show()

@@ -24,13 +24,14 @@ from bubbleviz_ui.engine import source
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.shell.display import has_display
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 PROGRAM = """
 from pathlib import Path
 from fakes import small_sensor
 from bubbleviz.errors import InputError
 from bubbleviz_ui.app import run_window, screenshot
+from bubbleviz_ui.window_session import Startup
 try:
     {what}
 except InputError as error:
@@ -40,8 +41,8 @@ WINDOW = """
 import os, signal
 from fakes import small_sensor
 from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.window_session import window_session
-with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None) as session:
+from bubbleviz_ui.window_session import Startup, window_session
+with screen_for_pictures(1280, 800), window_session(Startup(small_sensor())) as session:
     window, view, state = session.window, session.window.view, session.state
     window.show()
 {body}
@@ -75,7 +76,7 @@ def test_screenshot_shows_the_whole_window(tmp_path):
     controller.COLD_SOLVE_DELAY_MS = 3000
     save = WindowSession.save
     WindowSession.save = lambda self, out: (print(self.state.final), save(self, out))
-    screenshot(small_sensor(), None, 75, Path({str(out)!r}))"""
+    screenshot(Startup(small_sensor(), frame=75), Path({str(out)!r}))"""
     done = run(program, QT_QPA_PLATFORM="offscreen")  # as servers set it; it has no OpenGL
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["True"]  # its numbers are final
@@ -86,20 +87,20 @@ def test_screenshot_shows_the_whole_window(tmp_path):
 def test_screenshot_refuses_to_overwrite_and_a_missing_frame(qtbot, tmp_path):
     with (
         pytest.raises(InputError, match="has no frame 100000"),
-        window_session(small_sensor(), None, 100_000),
+        window_session(Startup(small_sensor(), frame=100_000)),
     ):
         pytest.fail("it opened")
     out = tmp_path / "frame.png"
     out.write_text("mine")
     with pytest.raises(InputError, match="exists already"):
-        screenshot(small_sensor(), None, 0, out)
+        screenshot(Startup(small_sensor(), frame=0), out)
     assert out.read_text() == "mine"
 
 
 @pytest.mark.long
 def test_without_a_display_screenshots_are_written_and_listed(tmp_path):
     short = "import bubbleviz_ui.app as app; app.OFFSCREEN_SECONDS = 0.5; "
-    done = run(short + "sys.exit(run_window(small_sensor()))", TMPDIR=str(tmp_path))
+    done = run(short + "sys.exit(run_window(Startup(small_sensor())))", TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
     said, *wrote = done.stdout.splitlines()
     assert "no display" in said and wrote
@@ -156,7 +157,7 @@ def test_ctrl_c_during_imports_exits_cleanly():
 import os, signal
 from fakes import small_sensor
 from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 class InterruptedImport:
     def find_spec(self, name, *_):
@@ -165,7 +166,7 @@ class InterruptedImport:
 
 sys.meta_path.insert(0, InterruptedImport())
 try:
-    with screen_for_pictures(1280, 800), window_session(small_sensor(), None, None):
+    with screen_for_pictures(1280, 800), window_session(Startup(small_sensor())):
         print("opened")
 except KeyboardInterrupt:
     print("ended" if "pyvistaqt" in sys.modules else "cut off")
@@ -208,14 +209,14 @@ def test_membrane_is_shown_while_the_simulation_is_prepared_and_can_be_closed(qa
     timer = QTimer(interval=20)
     timer.timeout.connect(close)
     timer.start()
-    assert run_window(small_sensor()) == 0
+    assert run_window(Startup(small_sensor())) == 0
     timer.stop()
     assert "being simulated" in seen[0] and not QApplication.topLevelWidgets()
 
 
 def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path):
     with pytest.raises(InputError, match=r"missing\.mcap"):
-        run_window(small_sensor(), tmp_path / "missing.mcap")
+        run_window(Startup(small_sensor(), tmp_path / "missing.mcap"))
     assert not QApplication.topLevelWidgets()
 
 
@@ -241,7 +242,7 @@ def test_unusable_display_gives_one_line_of_error(tmp_path):
     assert not has_display({"DISPLAY": ""})
     gone = {"WAYLAND_DISPLAY": "wayland-0", "XDG_RUNTIME_DIR": str(tmp_path)}
     assert not has_display(gone)
-    start = "sys.exit(run_window(small_sensor()))"
+    start = "sys.exit(run_window(Startup(small_sensor())))"
     with tempfile.TemporaryDirectory(prefix="w") as folder, socket.socket(socket.AF_UNIX) as screen:
         screen.bind(f"{folder}/wayland-0")  # a path this short fits a socket's name
         screen.listen()
@@ -255,7 +256,7 @@ def test_unusable_display_gives_one_line_of_error(tmp_path):
 def test_session_survives_the_references_to_none_that_pyside_loses():
     """None starts with some 10⁵ references; PySide6 6.12.0 on Python 3.11 loses one a call."""
     done = run_python("""
-from bubbleviz_ui.window_session import application
+from bubbleviz_ui.window_session import Startup, application
 app = application()
 for _ in range(400_000):
     app.sendPostedEvents()

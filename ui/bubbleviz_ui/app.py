@@ -14,28 +14,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from bubbleviz.files import refuse_existing
-from bubbleviz.live import SessionPreset
-from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.shell.display import has_display, private_display
-from bubbleviz_ui.window_session import WindowClosedError, WindowSession, window_session
+from bubbleviz_ui.window_session import Startup, WindowClosedError, WindowSession, window_session
 
 OFFSCREEN_SECONDS = 4.0
 OFFSCREEN_PICTURES = 3
 
 
-def run_window(
-    sensor: Sensor,
-    recording: Path | None = None,  # None: the built-in synthetic press as a live sensor
-    frame: int | None = None,  # Stay at this frame; None: play from the first
-    scene: ScenePreset | None = None,  # None: the window's default
-    *,
-    fresh: bool = True,  # Neither restore the user's last session nor save this one
-    live: SessionPreset | None = None,  # Live sensors instead of a recording
-    saved: Path | None = None,  # Session file to restore instead of a recording
-    truth: Path | None = None,  # TRUTH.npz of a simulated recording
-) -> int:
+def run_window(startup: Startup, *, fresh: bool = True) -> int:
     """Show the window until it is closed.
+
+    `fresh`: Neither restore the user's last session nor save this one.
 
     Without a display the session runs off-screen for a few seconds and writes screenshots to a new
     folder; their paths are printed.
@@ -47,17 +36,16 @@ def run_window(
     """
     if has_display():
         keep_in = None if fresh else _user_file
-        where = sensor, recording, frame, scene, keep_in, live, saved, truth
         with (
             suppress(WindowClosedError),
-            window_session(*where, at_once=True) as session,
+            window_session(startup, keep_in, at_once=True) as session,
         ):
             session.window.show()
             return session.run()
         return 0
     with (
         private_display(1300, 860),  # initial window and its frame
-        window_session(sensor, recording, frame, scene, None, live, saved, truth) as session,
+        window_session(startup) as session,
     ):
         print(f"no display: running off-screen for {OFFSCREEN_SECONDS:.0f} s", flush=True)
         for path in _offscreen(session):
@@ -66,15 +54,7 @@ def run_window(
 
 
 def screenshot(
-    sensor: Sensor,
-    recording: Path | None,
-    frame: int,
-    out: Path,
-    scene: ScenePreset | None = None,
-    size: tuple[int, int] = (1280, 800),
-    truth: Path | None = None,
-    *,
-    overwrite: bool = False,
+    startup: Startup, out: Path, size: tuple[int, int] = (1280, 800), *, overwrite: bool = False
 ) -> None:
     """Write a screenshot of the window at one frame.
 
@@ -82,10 +62,7 @@ def screenshot(
     the picture exists or cannot be written.
     """
     refuse_existing(out, overwrite=overwrite)
-    with (
-        screen_for_pictures(*size),
-        window_session(sensor, recording, frame, scene, truth=truth) as session,
-    ):
+    with screen_for_pictures(*size), window_session(startup) as session:
         session.window.resize(*size)
         session.window.show()
         # so that numbers and scales do not depend on the frames solved before

@@ -16,7 +16,6 @@ from bubbleviz.lazy_imports import (
     without_garbage_collection,
 )
 
-
 CHARTS = "vtkmodules.vtkRenderingContextOpenGL2"
 """Drawing of VTK's charts, a library of its own."""
 UNUSED = {"mypy": None, CHARTS: ModuleType(CHARTS)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -22,8 +23,9 @@ def window(fresh: bool) -> int:
     import_the_backend()
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
+    from bubbleviz_ui.window_session import Startup
 
-    return run_window(load_sensor(SYNTHETIC_SENSOR), fresh=fresh)
+    return run_window(Startup(load_sensor(SYNTHETIC_SENSOR)), fresh=fresh)
 
 
 @click.command("open")
@@ -105,11 +107,12 @@ def open_recording(
     if sensor in (None, AUTO):
         click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     from bubbleviz_ui import app
+    from bubbleviz_ui.window_session import Startup
 
+    startup = Startup(chosen, recording, frame, preset, truth=truth)
     if screenshot is None:
-        return app.run_window(chosen, recording, frame, preset, fresh=fresh, truth=truth)
-    where = chosen, recording, frame or 0, screenshot, preset
-    app.screenshot(*where, truth=truth, overwrite=overwrite)
+        return app.run_window(startup, fresh=fresh)
+    app.screenshot(replace(startup, frame=frame or 0), screenshot, overwrite=overwrite)
     click.echo(f"wrote {screenshot}")
     return 0
 
@@ -119,9 +122,11 @@ def _open_saved(saved: Path, scene: str | None, *, fresh: bool) -> int:
     from bubbleviz.sensor import load_sensor
     from bubbleviz_ui.app import run_window
     from bubbleviz_ui.model.scene_presets import load_scene
+    from bubbleviz_ui.window_session import Startup
 
     preset = None if scene is None else load_scene(scene)
-    return run_window(load_sensor(SYNTHETIC_SENSOR), scene=preset, fresh=fresh, saved=saved)
+    startup = Startup(load_sensor(SYNTHETIC_SENSOR), scene=preset, saved=saved)
+    return run_window(startup, fresh=fresh)
 
 
 def _open_live(
@@ -140,6 +145,7 @@ def _open_live(
     from bubbleviz_ui.app import run_window
     from bubbleviz_ui.live.connection import single
     from bubbleviz_ui.model.scene_presets import load_scene
+    from bubbleviz_ui.window_session import Startup
 
     if session is not None and sensor is not None:
         raise click.UsageError("--session names the sensor files; leave --sensor out")
@@ -155,4 +161,4 @@ def _open_live(
     preset = None if scene is None else load_scene(scene)
     name = live.sensors[0].sensor  # a missing file is reported before the window opens
     first = load_sensor(SYNTHETIC_SENSOR if name == AUTO else name)
-    return run_window(first, None, None, preset, fresh=fresh, live=live)
+    return run_window(Startup(first, scene=preset, live=live), fresh=fresh)

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,6 +40,19 @@ SWITCH_S = 5e-4
 """Thread switch interval of Python while the solver runs; 5 ms by default."""
 
 
+@dataclass(frozen=True)
+class Startup:
+    """What a window opens first."""
+
+    sensor: Sensor
+    recording: Path | None = None  # None: the built-in synthetic press as a live sensor
+    frame: int | None = None  # Stay at this frame; None: play from the first
+    scene: ScenePreset | None = None  # None: the window's default
+    live: SessionPreset | None = None  # Live sensors instead of a recording
+    saved: Path | None = None  # Session file to restore instead of a recording
+    truth: Path | None = None  # TRUTH.npz of a simulated recording; None: the one next to it
+
+
 class WindowClosedError(Exception):
     """The window was closed while its first source was being opened."""
 
@@ -66,36 +80,25 @@ class WindowSession:
         self._shown = False  # Before its source is open
 
     def start(
-        self,
-        sensor: Sensor,
-        recording: Path | None,
-        frame: int | None,
-        scene: ScenePreset | None = None,
-        keep_in: Path | None = None,
-        live: SessionPreset | None = None,
-        saved: tuple[Path, SavedSession] | None = None,
-        truth: Path | None = None,
-        *,
-        at_once: bool = False,
+        self, startup: Startup, saved: SavedSession | None, keep_in: Path | None, *, at_once: bool
     ) -> None:
-        """Open the source given to `window_session`."""
+        """Open the source given to `window_session`; `saved`: the session read from its file."""
         state, self._shows_at_once = self.state, at_once
         self.controller.opened.connect(self._note)
         self.controller.failed.connect(self._note)
-        known = any(each is not None for each in (recording, live, saved))
-        restored = keep_in is not None and self._restore(keep_in, recording, known=known)
-        if saved is not None:
-            file, given = saved
-            restored = self._source_opened(self.window.session_saver.restore(given, file))
-        if scene is not None:
-            self.window.use_scene(scene)
-        if live is not None:
-            self._connect(live)
+        restored = keep_in is not None and self._restore(keep_in, startup)
+        if saved is not None and startup.saved is not None:
+            restored = self._source_opened(self.window.session_saver.restore(saved, startup.saved))
+        if startup.scene is not None:
+            self.window.use_scene(startup.scene)
+        if startup.live is not None:
+            self._connect(startup.live)
         elif not restored:
-            self._open(sensor, recording, frame, truth)
+            self._open(startup)
+        frame = startup.frame
         if frame is not None and state.facts is not None and frame != state.frame:
             raise InputError(
-                f"{recording or 'synthetic press'}: has no frame {frame}; "
+                f"{startup.recording or 'synthetic press'}: has no frame {frame}; "
                 f"choose 0 to {state.facts.frames - 1}"
             )
         self.controller.opened.disconnect(self._note)
@@ -105,22 +108,23 @@ class WindowSession:
     def _note(self, answer: Opened | Failed) -> None:
         self._answers.append(answer)
 
-    def _open(
-        self, sensor: Sensor, recording: Path | None, frame: int | None, truth: Path | None
-    ) -> None:
+    def _open(self, startup: Startup) -> None:
         from bubbleviz_ui.engine.source import SYNTHETIC, Source
         from bubbleviz_ui.engine.worker import Failed
 
         self._answers.clear()
-        if recording is None:
-            self.window.scene.show_at_rest(sensor)
+        source, what = SYNTHETIC, "synthetic press, whose first frames are being simulated"
+        if startup.recording is not None:
+            source, what = Source.of_recording(startup.recording, startup.truth), ""
+        else:
+            self.window.scene.show_at_rest(startup.sensor)
             self._show_at_once()
         self.controller.opening.open(
-            Source.of_recording(recording, truth) if recording else SYNTHETIC,
-            lambda: sensor,
-            what="" if recording else "synthetic press, whose first frames are being simulated",
-            frame=frame or 0,
-            playing=frame is None,
+            source,
+            lambda: startup.sensor,
+            what=what,
+            frame=startup.frame or 0,
+            playing=startup.frame is None,
         )
         self.wait_for(lambda: bool(self._answers), "opening")
         answer = self._answers[0]
@@ -151,20 +155,20 @@ class WindowSession:
         if problems:
             raise InputError(problems[0])
 
-    def _restore(self, file: Path, recording: Path | None, *, known: bool) -> bool:
+    def _restore(self, file: Path, startup: Startup) -> bool:
         """Restore the user's last session; returns whether its source is open now.
 
-        If `known`, another source is opened instead. A source that cannot be opened any more gives
-        a message in the window.
+        Not its source if another one is to be opened. One that cannot be opened any more gives a
+        message in the window.
         """
         session_saver = self.window.session_saver
         saved = session_saver.keep_in(file)
         session_saver.apply_settings(saved)
         with self.window.undo_recorder.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
-        if recording is not None:
-            session_saver.restore_after_open(saved, recording)
-        if known:
+        if startup.recording is not None:
+            session_saver.restore_after_open(saved, startup.recording)
+        if any(each is not None for each in (startup.recording, startup.live, startup.saved)):
             return False
         return self._source_opened(session_saver.open_source(saved))
 
@@ -262,34 +266,24 @@ class WindowSession:
 
 @contextmanager
 def window_session(
-    sensor: Sensor,
-    recording: Path | None,
-    frame: int | None,
-    scene: ScenePreset | None = None,
-    keep_in: Callable[[], Path] | None = None,
-    live: SessionPreset | None = None,
-    saved: Path | None = None,
-    truth: Path | None = None,
-    *,
-    at_once: bool = False,
+    startup: Startup, keep_in: Callable[[], Path] | None = None, *, at_once: bool = False
 ) -> Iterator[WindowSession]:
     """Session whose window is closed and deleted at the end.
 
     With `keep_in`, the user's last session is read from the file it returns, and this one is saved
-    there; with `saved`, the session of that file is restored. `truth` is the TRUTH.npz of a
-    simulated recording, by default the file of its name next to it. With `at_once`, the window is
-    shown before its source is open, unless that may fail: a recording, a live source.
+    there. With `at_once`, the window is shown before its source is open, unless that may fail: a
+    recording, a live source.
 
     Raises WindowClosedError: It was closed then; InputError: The session cannot be read, or the
     recording cannot be opened, does not fit the sensor, or has no such frame; KeyboardInterrupt: ^C
     before the event loop runs.
     """
-    given = None if saved is None else (saved, _read(saved))  # before there is a window
+    saved = None if startup.saved is None else _read(startup.saved)  # before there is a window
     session = WindowSession()
     try:
         session.raise_if_interrupted()
         file = None if keep_in is None else keep_in()
-        session.start(sensor, recording, frame, scene, file, live, given, truth, at_once=at_once)
+        session.start(startup, saved, file, at_once=at_once)
         yield session
     finally:
         session.close()

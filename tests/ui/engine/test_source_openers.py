@@ -21,7 +21,7 @@ from bubbleviz.sensor import save_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui import main_window
 from bubbleviz_ui.engine.source import SYNTHETIC, Source
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 FRAMES = 3
 
@@ -145,7 +145,7 @@ def test_ground_truth_is_opened_found_or_refused_as_of_another_recording(
 @pytest.mark.long
 def test_command_line_option_for_ground_truth(qtbot, sensor, files):
     rec, truth = files / "sim.mcap", files / "what_is_true.npz"
-    with window_session(sensor, rec, 2, None, truth=truth) as session:
+    with window_session(Startup(sensor, rec, 2, truth=truth)) as session:
         session.window.show()
         session.window.panels["threshold"].show()
         curve = lambda: session.controller.inspection.kappa_curve  # noqa: E731

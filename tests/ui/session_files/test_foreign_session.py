@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QMessageBox
 
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import SavedSession
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 
 def test_session_file_connects_to_other_computers_only_after_a_question(
@@ -40,7 +40,7 @@ def test_session_file_connects_to_other_computers_only_after_a_question(
         place = f"zenoh:{endpoint}?login={tmp_path / 'login'}"
         saved = SavedSession(live=single(place, sensor_file(tmp_path)))
         (tmp_path / "a.json").write_text(saved.model_dump_json())
-        with window_session(small_sensor(), None, None, None, None, None, None) as session:
+        with window_session(Startup(small_sensor())) as session:
             session.wait_for(lambda: session.state.facts is not None, "opening")
 
             def open_file(times):

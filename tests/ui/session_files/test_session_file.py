@@ -26,7 +26,7 @@ from bubbleviz_ui.session_files.session_file import (
     read_user_file,
     usable_settings,
 )
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 
 FRAMES = 12
 
@@ -187,10 +187,10 @@ sys.path.insert(0, {here!r})
 from pathlib import Path
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.session_files import session_saver
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 from bubbleviz_ui.session_files.session_saver import user_file
 session_saver.EVERY_MS = 100
-with window_session(load_sensor({sensor!r}), Path({rec!r}), None, None, user_file) as session:
+with window_session(Startup(load_sensor({sensor!r}), Path({rec!r})), user_file) as session:
     state = session.state
     session.window.show()
     state.set_playing(False)
@@ -223,7 +223,7 @@ def test_session_is_restored_after_a_kill(qtbot, files, tmp_path, eventually):
     eventually(lambda: file.exists() and "1.75" in file.read_text())
     process.send_signal(signal.SIGKILL)
     process.communicate()
-    with window_session(load_sensor(files / "dome.toml"), None, None, None, lambda: file) as again:
+    with window_session(Startup(load_sensor(files / "dome.toml")), lambda: file) as again:
         state, window = again.state, again.window
         window.show()
         assert Path(state.facts.title).name == "press.mcap"
@@ -235,7 +235,7 @@ def test_session_is_restored_after_a_kill(qtbot, files, tmp_path, eventually):
 def test_closed_source_is_freed_from_memory(qtbot, files):
     """Each result holds camera rays and a frame: 15 MiB for a RealSense."""
     sensor = load_sensor(files / "dome.toml")
-    with window_session(sensor, files / "press.mcap", 3) as session:
+    with window_session(Startup(sensor, files / "press.mcap", 3)) as session:
         controller = session.controller
         for frame in (1, 2, 3, 4):
             was = controller.client.session

@@ -23,7 +23,7 @@ from bubbleviz_ui.session_files.session_file import (
     read_session,
     read_user_file,
 )
-from bubbleviz_ui.window_session import window_session
+from bubbleviz_ui.window_session import Startup, window_session
 from tests.program import refusal
 
 FRAMES = 12
@@ -44,7 +44,7 @@ def files(tmp_path, sensor):
 def start(keep_in=None, saved=None):
     """The program as `bubbleviz [open SAVED]` starts it, with a fast built-in press."""
     file = None if keep_in is None else lambda: keep_in
-    with window_session(small_sensor(), None, None, None, file, None, saved) as session:
+    with window_session(Startup(small_sensor(), saved=saved), file) as session:
         session.window.show()
         yield session
 
@@ -184,7 +184,9 @@ def test_robot_that_is_not_running_yet_is_awaited(qtbot, files, tmp_path):
 
 def test_session_of_a_temporarily_missing_recording_is_kept(qtbot, files, tmp_path):
     config, rec = tmp_path / "session.json", files / "press.mcap"
-    with window_session(load_sensor(files / "dome.toml"), rec, 5, None, lambda: config) as session:
+    with window_session(
+        Startup(load_sensor(files / "dome.toml"), rec, 5), lambda: config
+    ) as session:
         session.state.set_markers((2, 9))
         session.state.change(kappa=1.75)
     rec.rename(tmp_path / "away.mcap")

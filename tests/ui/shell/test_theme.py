@@ -175,8 +175,8 @@ import json
 from fakes import small_sensor
 from PySide6.QtWidgets import QAbstractButton, QLabel
 from bubbleviz_ui.app import screen_for_pictures
-from bubbleviz_ui.window_session import window_session
-with screen_for_pictures(3200, 2000), window_session(small_sensor(), None, 75) as session:
+from bubbleviz_ui.window_session import Startup, window_session
+with screen_for_pictures(3200, 2000), window_session(Startup(small_sensor(), frame=75)) as session:
     window = session.window
     window.resize(1280, 800)
     window.show()
