@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt, QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt
 from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
@@ -19,6 +19,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Part, PlotHost
@@ -226,8 +227,7 @@ class ImagesPanel(QWidget):
         self._host.seen.connect(self._on_seen)
         self._arranged: list[tuple[str, int]] | None = None
         self.cells: dict[str, ImageCell] = {}
-        self._redraw_timer = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._redraw_timer.timeout.connect(self._draw)
+        self._redraw = Throttle(self, self._draw, EVERY_MS)
         self.choose, self.boxes = menu_button(state, "images")
         self.lines = [Elided(Qt.TextElideMode.ElideRight) for _ in range(3)]
         self._lay_out()
@@ -267,10 +267,7 @@ class ImagesPanel(QWidget):
             self._draw()
 
     def _on_shown(self, _: object) -> None:
-        if not self._state.playing:
-            self._draw()
-        elif not self._redraw_timer.isActive():
-            self._redraw_timer.start()
+        self._redraw.request() if self._state.playing else self._draw()
 
     def _on_hover(self, place: Probed | None) -> None:
         for label, line in zip(self.lines, probe_lines(place, self._state.units), strict=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, QSize, QTimer
+from PySide6.QtCore import QEvent, QObject, QPointF, QSize
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
@@ -13,6 +13,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
@@ -43,8 +44,7 @@ class PlotsPanel(QWidget):
         super().__init__()
         self.setObjectName("plots")
         self._state, self._controller = state, controller
-        self._redraw_timer = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._redraw_timer.timeout.connect(lambda: self._draw())
+        self._redraw = Throttle(self, self._draw, EVERY_MS)
         self._host = PlotHost(self._make)
         self._arranged: list[tuple[int, int, int]] | None = None
         self._hovered: tuple[str, float] | None = None
@@ -66,7 +66,7 @@ class PlotsPanel(QWidget):
         self._lay_out()
         self._connect()
         state.frame_changed.connect(self._on_frame)
-        state.history_changed.connect(self._draw_soon)
+        state.history_changed.connect(self._redraw.request)
         state.range_changed.connect(self._show_statistics)
         state.source_changed.connect(self._on_source)
         state.settings_changed.connect(self._on_settings)
@@ -125,11 +125,6 @@ class PlotsPanel(QWidget):
             self._arrange()
         if names & DRAWN:
             self._draw()
-
-    def _draw_soon(self) -> None:
-        """Schedule one redraw for all changes until then."""
-        if self._host.ready and not self._redraw_timer.isActive():
-            self._redraw_timer.start()
 
     def _show_all_time(self) -> None:
         facts = self._state.facts
@@ -196,7 +191,7 @@ class PlotsPanel(QWidget):
         plot.cursor.sigDragged.connect(self._on_dragged)
         if self._state.facts is not None:
             plot.show_all(self._state.facts.times_s)
-        plot.box.sigXRangeChanged.connect(self._draw_soon)
+        plot.box.sigXRangeChanged.connect(self._redraw.request)
         return plot
 
     def _arrange(self) -> None:

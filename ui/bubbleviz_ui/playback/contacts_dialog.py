@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialog, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import ContactPeriod
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
@@ -33,18 +34,12 @@ class ContactsDialog(QDialog):
         self.table.setToolTip("Click: show the frame of the largest force")
         self.note = theme.dim(QLabel(wordWrap=True))
         fill(QVBoxLayout(self), (self.table, 1), self.note)
-        self._timer = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._timer.timeout.connect(self._show)
         self.table.cellClicked.connect(self._seek)
-        state.history_changed.connect(self._show_soon)
-        state.settings_changed.connect(self._show_soon)
+        update = Throttle(self, self._show, EVERY_MS)
+        state.history_changed.connect(update.request)
+        state.settings_changed.connect(update.request)
         state.source_changed.connect(self._show)
         self._show()
-
-    def _show_soon(self) -> None:
-        """Schedule one update for all changes until then."""
-        if not self._timer.isActive():
-            self._timer.start()
 
     def _show(self) -> None:
         state, facts, units = self._state, self._state.facts, self._state.units

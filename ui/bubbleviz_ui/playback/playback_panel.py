@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PySide6.QtCore import Qt, QTimer
+from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
@@ -15,6 +15,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SPEEDS, Settings
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.playback.range_strip import RangeStrip
@@ -60,8 +61,7 @@ class PlaybackPanel(QWidget):
         self.last = tool_button("▶▮", "Last frame (End)", state.seek_last)
         self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
-        self._timeline_timer = QTimer(self, singleShot=True, interval=TIMELINE_EVERY_MS)
-        self._timeline_timer.timeout.connect(lambda: self.timeline.update())
+        self._repaint = Throttle(self, lambda: self.timeline.update(), TIMELINE_EVERY_MS)
         self.range_strip = RangeStrip()
         self.range_strip.hide()
         self.readout = Steady()
@@ -116,10 +116,7 @@ class PlaybackPanel(QWidget):
             self.show_frame()
 
     def _on_history(self) -> None:
-        if not self._state.playing:
-            self.show_frame()
-        elif not self._timeline_timer.isActive():
-            self._timeline_timer.start()
+        self._repaint.request() if self._state.playing else self.show_frame()
 
     def _show_all(self) -> None:
         facts, live = self._state.facts, False

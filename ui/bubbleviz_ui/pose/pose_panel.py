@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt, QTimer, Signal
+from PySide6.QtCore import QSignalBlocker, Qt, Signal
 from PySide6.QtGui import QColor, QDragEnterEvent, QDropEvent, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
@@ -26,6 +26,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
@@ -263,8 +264,7 @@ class PosePanel(QWidget):
         self._fill()
         self._lay_out()
         self._connect()
-        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._due.timeout.connect(lambda: self._draw_curves())
+        self._redraw = Throttle(self, self._draw_curves, EVERY_MS)
         self._write()
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
@@ -310,7 +310,7 @@ class PosePanel(QWidget):
             (self.start,),
             (self.once, self.track, self.reset),
         ):
-            column.addLayout(_row(*row))
+            column.addLayout(fill(QHBoxLayout(), *row))
         form = QFormLayout()
         form.setHorizontalSpacing(12)
         for name, title in NUMBERS.items():
@@ -319,7 +319,8 @@ class PosePanel(QWidget):
         form.addRow(self.stage.accessibleName(), self.stage)
         form.addRow("Outline", self.patch)
         column.addLayout(form)
-        fill(column, self.curves, _row(QLabel("Export"), self.csv, self.tum), 1)
+        export = fill(QHBoxLayout(), QLabel("Export"), self.csv, self.tum)
+        fill(column, self.curves, export, 1)
         for name, value in self.values.items():
             value.setObjectName(f"pose_{name}")
             value.setWordWrap(True)
@@ -403,8 +404,7 @@ class PosePanel(QWidget):
 
     def _on_changed(self) -> None:
         self._write()
-        if not self._due.isActive():
-            self._due.start()
+        self._redraw.request()
 
     def _enable_controls(self) -> None:
         """Enable the controls; none while a fit is running."""
@@ -455,10 +455,3 @@ class PosePanel(QWidget):
             numbers, times = np.array([(row["frame"], row["time_s"]) for row in rows]).T
             values = np.array([(row["fitness"], row["rmse_m"]) for row in rows])
             curves.draw_frames(numbers, times, values)
-
-
-def _row(*widgets: QWidget) -> QHBoxLayout:
-    row = QHBoxLayout()
-    for widget in widgets:
-        row.addWidget(widget)
-    return row

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import QObject, QTimer
+from PySide6.QtCore import QObject
 
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 
@@ -21,8 +22,7 @@ class Pointing(QObject):
         super().__init__(view)
         self._state, self._scene, self._hover = state, scene, hover
         self._at = (0.0, 0.0)
-        self._due = QTimer(self, singleShot=True, interval=EVERY_MS)
-        self._due.timeout.connect(self._pick)
+        self._due = Throttle(self, self._pick, EVERY_MS)
         self._view = view
         view.mouse_moved.connect(self._on_moved)
         view.clicked.connect(self._on_clicked)
@@ -37,8 +37,8 @@ class Pointing(QObject):
     def _on_moved(self, x: float, y: float) -> None:
         self._at = (x, y)
         self._view.setToolTip(LOCK_TIP if self._scene.bar_at(x, y) is not None else "")
-        if self._enabled and not self._due.isActive():
-            self._due.start()
+        if self._enabled:
+            self._due.request()
 
     def _on_clicked(self, x: float, y: float) -> None:
         """Lock the scale of a colour bar, or let it follow the data again."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyvista as pv
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
 from PySide6.QtGui import (
     QDragEnterEvent,
     QDropEvent,
@@ -32,6 +32,7 @@ from pyvistaqt import QtInteractor
 
 from bubbleviz.errors import InputError
 from bubbleviz_ui.model.messages import RateMeter
+from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d import render_view as direct_swap
 
@@ -154,8 +155,7 @@ class View(QtInteractor):  # type: ignore[misc]
         self.render_count = 0
         self.pointer_props: list[Any] = []  # Follow the mouse; hidden in saved pictures
         self.busy_s = 0.0  # Time of the GUI thread spent on updating and rendering the scene
-        self._due = QTimer(self, singleShot=True)
-        self._due.timeout.connect(self._draw)
+        self._due = Throttle(self, self._draw)
         self.frameSwapped.connect(self._on_swapped)
         # no gradient, which costs a quarter of an empty render
         self.follow_theme(lambda colours: self.set_background(colours.view))
@@ -173,8 +173,7 @@ class View(QtInteractor):  # type: ignore[misc]
 
     def refresh(self) -> None:
         """Request a redraw; calls before it is drawn are merged."""
-        if not self._due.isActive():
-            self._due.start()
+        self._due.request()
 
     def follow_theme(self, paint: Callable[[theme.Colours], object]) -> None:
         """Call `paint` with the theme's colours, now and after each change of theme."""

@@ -25,6 +25,7 @@ from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import bind, control, form
 from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.shell.dock import fill, push_button, tool_button
@@ -59,6 +60,8 @@ HINTS = {
     "distance": ("Click on two points", "", ""),
 }
 """Shown while there are no numbers."""
+SHOWN = frozenset({*UNIT_CHOICES, "section_axis", "section_at_m", "exaggeration"})
+"""Settings that this panel shows, or that move the probed place in the view."""
 SECTION_STEPS = 200
 WIDTH = 286
 """Width of the numbers of a probed place, screen pixels."""
@@ -219,7 +222,9 @@ class ViewTools(QWidget):
         self._at.refresh()
         self._show_reading()
 
-    def _on_settings(self) -> None:
+    def _on_settings(self, names: frozenset[str] = SHOWN) -> None:
+        if not names & SHOWN:
+            return
         settings, length = self._state.settings, self._state.units.length
         self.section_text.setText(f"at {length.text(settings.section_at_m)}")
         for box in (self.section_at, self.flipped):
