@@ -261,11 +261,16 @@ class PressureZero:
 
 
 class Zeros(NamedTuple):
-    """Zeros of one sensor; of a recording also the means of images that show the same."""
+    """Zeros of one sensor, and the means of images that show the same."""
 
     gas: PressureZero | None  # None: its gas pressure is not measured, or not corrected
     image: ImageZero
     still: StillFrames | None = None  # None: each frame by its own image
+
+    @classmethod
+    def of_stream(cls, gas: PressureZero | None, pipeline: Pipeline) -> Zeros:
+        """Of frames that come one after the other, which the zeros follow."""
+        return cls(gas, ImageZero(), StillFrames(pipeline) if _knows_errors(pipeline) else None)
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, known errors and mean of the depth image."""
@@ -295,10 +300,10 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     unknown if there are none. Frames held one by one are not averaged with their neighbours.
     """
     rest, image, still = _rest_of(source, pipeline), ImageZero(), None
-    if pipeline.estimator.solver_name in (RUBBER, LINEAR):  # others do not know image errors
+    if _knows_errors(pipeline):
         image.take(_solved_alone(rest, pipeline), pipeline)
         if not isinstance(source, HeldFrames):  # their frames are not neighbours
-            still = StillFrames(source, pipeline)
+            still = StillFrames(pipeline, source)
     image.fixed = True
     pressures = [each.gas_pressure_pa for each in rest]
     others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
@@ -312,6 +317,11 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
             gas.take(measured)
     gas.restore(gas.rest_pa, waiting=False)
     return Zeros(gas, image, still)
+
+
+def _knows_errors(pipeline: Pipeline) -> bool:
+    """Whether the estimator models errors of the whole depth image, unlike the paper's."""
+    return pipeline.estimator.solver_name in (RUBBER, LINEAR)
 
 
 def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Frame]:

@@ -128,7 +128,7 @@ class Estimator:
         gas = PressureZero.of(pipeline.model.sensor.pneumatics) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self.solver = FrameSolver(
-            pipeline, products, self._options, Zeros(gas, ImageZero()), texture
+            pipeline, products, self._options, Zeros.of_stream(gas, pipeline), texture
         )
         self._count, self._first_stamp_ns, self._unit_known = 0, 0, False
 

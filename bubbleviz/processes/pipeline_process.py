@@ -58,7 +58,8 @@ class PipelineProcess:
             self._start(products)
         if not self._is_ready() or not products <= DEPTH_PRODUCTS:
             return self._pipeline.process(frame, products, options)
-        small = replace(frame, intrinsics=None, find_colour=None)
+        used_m = frame.steady_depth_m
+        small = replace(frame, depth_m=used_m, mean_depth_m=None, intrinsics=None, find_colour=None)
         outcome = self._call(small, products, options)
         if outcome.kind != "returned":
             return self._pipeline.process(frame, products, options)  # raises the same exception

@@ -81,9 +81,15 @@ def noisy(depths_mm, noise=WHITE, seed=0):
 
 def averaged(source, order=None):
     """Frames with their means, asked for in an order."""
-    still = StillFrames(source, Pipeline.of(sensor()))
+    still = StillFrames(Pipeline.of(sensor()), source)
     found = {k: still.applied(source[k]) for k in order or range(len(source))}
     return [found[k] for k in sorted(found)]
+
+
+def streamed(frames):
+    """Frames with their means, as they come live."""
+    still = StillFrames(Pipeline.of(sensor()))
+    return [still.applied(frame) for frame in frames]
 
 
 def images(frames):
@@ -115,11 +121,26 @@ def test_the_force_of_an_object_at_rest_scatters_less():
     assert np.abs(mean - force_n).mean() < np.abs(alone - force_n).mean()
 
 
-def test_a_motion_too_slow_to_be_seen_shifts_no_force():
+def test_live_frames_are_averaged_with_those_before():
+    found = np.array(images(streamed(noisy((6.0,) * 23))))
+    most = np.minimum(np.arange(23), 5) + 1
+    most[1] = 1  # a straight line through two images is the second one
+    assert (found <= most).all()
+    assert np.mean(found == most) > 0.7
+
+
+def test_a_stream_that_begins_anew_is_not_averaged_with_itself():
+    frames = noisy((6.0,) * 8)
+    found = streamed(frames + frames[:1] + [replace(frames[1], time_s=9.0)])
+    assert images(found)[-2:] == [1, 1]
+
+
+@pytest.mark.parametrize("of", [lambda frames: averaged(Recorded(frames)), streamed])
+def test_a_motion_too_slow_to_be_seen_shifts_no_force(of):
     """A press of 0.02 mm a frame, seen in images of both sides, or of one as at the end."""
     depths = 6.0 + 0.02 * np.arange(14)
     single = noisy(depths)
-    frames = averaged(Recorded(single))
+    frames = of(single)
     assert np.mean(images(frames)) > 4.0
     truth = between(presses()[1], depths)
     alone, mean = pushes(single) - truth, pushes(frames) - truth
@@ -182,6 +203,15 @@ def test_outliers_and_missing_returns_stay_out_of_the_mean():
     assert np.nanmax(np.abs(frame.steady_depth_m - exact_m)[good]) < 0.004
     error_m = np.nanstd((frame.steady_depth_m - exact_m)[good])
     assert error_m < 0.5 * np.nanstd((frame.depth_m - exact_m)[good])
+
+
+def test_the_estimator_averages_live_images_of_an_object_at_rest():
+    estimator = bv.Estimator(sensor())
+    found = [
+        estimator.update(frame.depth_m, time_s=frame.time_s).result.frame.images
+        for frame in noisy((6.0,) * 8)
+    ]
+    assert found[0] == 1 and max(found) > 3
 
 
 def test_estimates_of_a_recording_say_how_many_images_they_are_of(tmp_path):

@@ -447,7 +447,7 @@ class Solver:
             bias = wrench_bias(source, pipeline)
             current = OpenSource(request.source, source, pipeline, settings, bias)
             if stream is not None:
-                current = replace(current, zeros=Zeros(stream.zero, ImageZero()))
+                current = replace(current, zeros=Zeros.of_stream(stream.zero, pipeline))
             products = current.shear.products(source, pipeline, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
             measured_pa = frame.gas_pressure_pa
