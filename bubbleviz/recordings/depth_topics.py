@@ -47,6 +47,12 @@ def metres_per_unit(bag: Bag, depth: Topic) -> float | None:
     return 1e-3  # default of every model but the D405
 
 
+def depth_topics(bag: Bag) -> list[str]:
+    """Names of the image topics with a depth encoding and `depth` in their name."""
+    images = [topic for topic in of_type(bag, IMAGE) if "depth" in topic.name.lower()]
+    return [each.name for each in images if _is_depth(each.name, _first(bag, each).encoding)]
+
+
 def find_depth(bag: Bag, name: str | None = None) -> tuple[Topic, str]:
     """Topic of the depth images, and a text about others like it, which may be empty.
 
@@ -61,7 +67,7 @@ def find_depth(bag: Bag, name: str | None = None) -> tuple[Topic, str]:
     if found:
         others = [topic.name for topic in found[1:] if "depth" in topic.name.lower()]
         note = f"of several depth topics {found[0].name} is used, not {', '.join(others)}"
-        remedy = "choose one by --depth-topic (Python: depth_topic of bv.open)"
+        remedy = "choose one by --depth-topic (Python: depth_topic of bv.open; window: File menu)"
         return found[0], f"{note}; {remedy}" if others else ""
     return _find_other_depth(bag, name, candidates, encodings), ""
 

@@ -28,6 +28,7 @@ from bubbleviz.recordings.depth_topics import (
     PRESSURE,
     STRING,
     WRENCH,
+    depth_topics,
     find_depth,
     find_intrinsics,
     first_of_type,
@@ -100,6 +101,12 @@ class Recording:
         except BaseException:
             self.bag.close()
             raise
+
+    @property
+    def depth_topics(self) -> list[str]:
+        """Topics of depth images among which `depth_topic` chooses, by name."""
+        with self._lock:
+            return depth_topics(self.bag)
 
     def __len__(self) -> int:
         return len(self.times_s)

@@ -633,7 +633,8 @@ class MainWindow(QMainWindow):
             title = f"Sensor file for images of {size[0]}×{size[1]} pixels"
             path = file_to_open(self, title, SENSOR_FILES, of="sensor", proposed=last_sensor(size))
             if path is not None:
-                self.controller.opening.open_recording(source.path, path, source.truth)
+                again = source.path, path, source.truth, source.depth_topic
+                self.controller.opening.open_recording(*again)
 
     def show_rates(self) -> None:
         """Show frame rates and latency in the status bar."""

@@ -41,6 +41,7 @@ def window(fresh: bool) -> int:
     type=click.Path(path_type=Path),
     help="TRUTH.npz of a simulated REC; by default the one next to it with the same name.",
 )
+@click.option("--depth-topic", help="Topic of the depth images; by default the first.")
 @click.option(
     "--colour-delay",
     "colour_delay_s",
@@ -65,6 +66,7 @@ def open_recording(
     sensor: str | None,
     scene: str | None,
     truth: Path | None,
+    depth_topic: str | None,
     colour_delay_s: float | None,
     frame: int | None,
     screenshot: Path | None,
@@ -75,17 +77,18 @@ def open_recording(
     if sum(given is not None for given in (recording, source, session)) != 1:
         raise click.UsageError("give exactly one of REC (or X.bubbleviz), --source and --session")
     if recording is None:
-        if any(given is not None for given in (truth, frame, screenshot)):
+        if any(given is not None for given in (truth, depth_topic, frame, screenshot)):
             raise click.UsageError(
-                "--truth, --frame and --screenshot need a recording; leave them out, or give REC "
-                "in place of --source or --session"
+                "--truth, --depth-topic, --frame and --screenshot need a recording; leave them "
+                "out, or give REC in place of --source or --session"
             )
         return _open_live(source, session, sensor, scene, colour_delay_s, fresh=fresh)
     if recording.suffix.lower() == SESSION_SUFFIX:
-        if any(given is not None for given in (sensor, truth, colour_delay_s, frame, screenshot)):
+        of_recording = sensor, truth, depth_topic, colour_delay_s, frame, screenshot
+        if any(given is not None for given in of_recording):
             raise click.UsageError(
-                "a saved session takes no --sensor, --truth, --colour-delay, --frame or "
-                "--screenshot; leave them out"
+                "a saved session takes no --sensor, --truth, --depth-topic, --colour-delay, "
+                "--frame or --screenshot; leave them out"
             )
         return _open_saved(recording, scene, fresh=fresh)
     from bubbleviz_ui.startup_imports import import_the_backend
@@ -102,14 +105,14 @@ def open_recording(
             raise click.UsageError(f"--screenshot {screenshot}: give a name that ends in .png")
         refuse_existing(screenshot, overwrite=overwrite)
     preset = None if scene is None else load_scene(scene)
-    name, chosen = checked_sensor(recording, sensor)
+    name, chosen = checked_sensor(recording, sensor, depth_topic)
     chosen = with_colour_delay(chosen, colour_delay_s)
     if sensor in (None, AUTO):
         click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     from bubbleviz_ui import app
     from bubbleviz_ui.window_session import Startup
 
-    startup = Startup(chosen, recording, frame, preset, truth=truth)
+    startup = Startup(chosen, recording, frame, preset, truth=truth, depth_topic=depth_topic)
     if screenshot is None:
         return app.run_window(startup, fresh=fresh)
     app.screenshot(replace(startup, frame=frame or 0), screenshot, overwrite=overwrite)

@@ -51,6 +51,7 @@ class Startup:
     live: SessionPreset | None = None  # Live sensors instead of a recording
     saved: Path | None = None  # Session file to restore instead of a recording
     truth: Path | None = None  # TRUTH.npz of a simulated recording; None: the one next to it
+    depth_topic: str | None = None  # Of the recording; None: the first
 
 
 class WindowClosedError(Exception):
@@ -115,7 +116,8 @@ class WindowSession:
         self._answers.clear()
         source, what = SYNTHETIC, "synthetic press, whose first frames are being simulated"
         if startup.recording is not None:
-            source, what = Source.of_recording(startup.recording, startup.truth), ""
+            of_recording = startup.recording, startup.truth, startup.depth_topic
+            source, what = Source.of_recording(*of_recording), ""
         else:
             self.window.scene.show_at_rest(startup.sensor)
             self._show_at_once()

@@ -278,7 +278,7 @@ class Calibration(QObject):
         if source is NO_SOURCE:
             return True
         if source.path is not None:
-            return source.path == present.path
+            return (source.path, source.depth_topic) == (present.path, present.depth_topic)
         return source.live and self.live and _size(sensor()) == _size(self.initial_sensor)
 
     def _continue(self, opened: Opened) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -108,23 +109,33 @@ class Opening(QObject):
             self._end()
 
     def open_recording(
-        self, path: Path, sensor_file: Path | None = None, truth: Path | None = None
+        self,
+        path: Path,
+        sensor_file: Path | None = None,
+        truth: Path | None = None,
+        depth_topic: str | None = None,
     ) -> None:
         """Open a recording with a sensor file, else a sensor given before or a matching preset."""
-        self.open(Source.of_recording(path, truth), self.sensor_of(path, sensor_file))
+        source = Source.of_recording(path, truth, depth_topic)
+        self.open(source, self.sensor_of(path, sensor_file, depth_topic))
 
-    def sensor_of(self, path: Path | None, sensor_file: Path | None = None) -> OpenSensor:
+    def sensor_of(
+        self, path: Path | None, sensor_file: Path | None = None, depth_topic: str | None = None
+    ) -> OpenSensor:
         """Opens a sensor file, else the sensor for a recording: one in use before, or a preset."""
         known = [each for each in (self.sensor, self._other_camera) if each is not None]
         if sensor_file is not None:
             return lambda: load_sensor(sensor_file)
-        return lambda: known[0] if path is None else sensor_for(path, *known)
+        if path is None:
+            return lambda: known[0]
+        return partial(sensor_for, path, *known, depth_topic=depth_topic)
 
     def use_ground_truth(self, path: Path) -> None:
         """Reopen the simulated recording that is open with its TRUTH.npz."""
         source, sensor = self.source, self.sensor
         if source is not None and source.path is not None and sensor is not None:
-            self.reopen(path.name, lambda: sensor, Source.of_recording(source.path, path))
+            truth = Source.of_recording(source.path, path, source.depth_topic)
+            self.reopen(path.name, lambda: sensor, truth)
         else:
             problem = f"{path}: no recording is open; first open that of the simulation"
             self._state.messages.add("error", problem)

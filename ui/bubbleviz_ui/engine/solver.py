@@ -496,6 +496,8 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
         outages=() if stream is None else stream.outages,
         colour=current.has_colour,
         path="" if opened.path is None else str(opened.path.resolve()),
+        depth_topic="" if recording is None else recording.depth_topic.name,
+        depth_topics=() if recording is None else tuple(recording.depth_topics),
         gas_zero="" if zero is None else zero.words,
     )
 

@@ -38,16 +38,19 @@ class Source:
     title: str  # Name in messages
     open: Callable[[Sensor], FrameSource]  # Called in the solver thread
     path: Path | None = None  # Of a recording
+    depth_topic: str | None = None  # Of its depth images; None for the first
     truth: Path | None = None  # TRUTH.npz, if not next to the recording with the same name
     stream: LiveFrames | None = None  # Of a live sensor
     live: bool = False  # Behaves like a live sensor
     name: str | None = None  # In session files; None if it cannot be opened by name
 
     @classmethod
-    def of_recording(cls, path: Path, truth: Path | None = None) -> Source:
+    def of_recording(
+        cls, path: Path, truth: Path | None = None, depth_topic: str | None = None
+    ) -> Source:
         """A recording, real or simulated."""
-        name, function = str(path.absolute()), partial(_recording, path, truth)
-        return cls(path.name, function, path=path, truth=truth, name=name)
+        name, function = str(path.absolute()), partial(_recording, path, truth, depth_topic)
+        return cls(path.name, function, path, depth_topic, truth, name=name)
 
     @classmethod
     def of_stream(cls, frames: LiveFrames) -> Source:
@@ -55,12 +58,14 @@ class Source:
         return cls(frames.name, lambda _: frames, stream=frames, live=True)
 
 
-def _recording(path: Path, truth: Path | None, sensor: Sensor) -> FrameSource:
+def _recording(
+    path: Path, truth: Path | None, depth_topic: str | None, sensor: Sensor
+) -> FrameSource:
     """Open a recording, with its ground truth if it is simulated and has one.
 
     Raises InputError: It cannot be opened, or does not fit the sensor or the ground truth.
     """
-    opened = open_recording(path)
+    opened = open_recording(path, depth_topic=depth_topic)
     try:
         check_fits(opened, sensor, sensor.name)
         if truth is not None and isinstance(opened, Recording):
@@ -71,12 +76,12 @@ def _recording(path: Path, truth: Path | None, sensor: Sensor) -> FrameSource:
         raise
 
 
-def sensor_for(path: Path, *known: Sensor) -> Sensor:
+def sensor_for(path: Path, *known: Sensor, depth_topic: str | None = None) -> Sensor:
     """Sensor for a recording: the first known one that fits, else the matching preset.
 
     Raises UnknownCameraError: There is none.
     """
-    with closing(open_recording(path)) as opened:
+    with closing(open_recording(path, depth_topic=depth_topic)) as opened:
         size = image_size(opened)
         for sensor in known:
             if size == (sensor.camera.width, sensor.camera.height):

@@ -37,6 +37,8 @@ class SourceFacts:
     outages: tuple[Gap, ...] = ()
     colour: bool = False  # Its frames may have colour images
     path: str = ""  # Absolute path of a recording; empty for other sources
+    depth_topic: str = ""  # Of a recording of ROS messages
+    depth_topics: tuple[str, ...] = ()  # That of this sensor, and of others in the recording
     gas_zero: str = ""  # Zero correction of a recording's gas pressure; empty if none was recorded
 
     @property
@@ -61,7 +63,7 @@ class SourceFacts:
 
     def same_source(self, other: SourceFacts) -> bool:
         """Whether both describe the same frames; the sensor may differ."""
-        own, others = (facts.path or facts.title for facts in (self, other))
+        own, others = ((facts.path or facts.title, facts.depth_topic) for facts in (self, other))
         return own == others and self.frames == other.frames
 
     @property

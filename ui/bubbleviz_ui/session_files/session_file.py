@@ -94,6 +94,7 @@ class SavedSession(BaseModel):
     schema_version: Literal[1] = 1
     # Path of a recording, or `synthetic:`; None for a source that cannot be opened by name
     source: str | None = None
+    depth_topic: str | None = None  # Of that recording, if chosen by the user
     truth: str | None = None  # TRUTH.npz of that recording, if chosen by the user
     live: SessionPreset | None = None  # Connected live sensors
     sensor: str | None = None  # Sensor file or preset

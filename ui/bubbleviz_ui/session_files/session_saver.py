@@ -49,7 +49,10 @@ if TYPE_CHECKING:
 
 EVERY_MS = 3000
 """Period of autosaving."""
-SOURCE_FIELDS = ("source", "truth", "live", "sensor", "frame", "play_range", "markers", "camera")
+SOURCE_FIELDS = (
+    *("source", "depth_topic", "truth", "live", "sensor"),
+    *("frame", "play_range", "markers", "camera"),
+)
 """Fields of a session that are kept unchanged while its source is missing."""
 
 
@@ -136,6 +139,7 @@ class SessionSaver(QObject):
         moved = window.scene.moved_by_user
         now = SavedSession(
             source=None if source is None else source.name,
+            depth_topic=None if source is None else source.depth_topic,
             truth=None if source is None or source.truth is None else str(source.truth.absolute()),
             live=self._live(sensor),
             sensor=sensor,
@@ -244,7 +248,7 @@ class SessionSaver(QObject):
             source = SYNTHETIC
         elif saved.source is not None and "recording" not in missing_files:
             truth = None if saved.truth is None or "truth" in missing_files else Path(saved.truth)
-            source = Source.of_recording(Path(saved.source), truth)
+            source = Source.of_recording(Path(saved.source), truth, saved.depth_topic)
         if source is None:
             begin()
             self._restore_without_source(saved)
@@ -342,9 +346,9 @@ class SessionSaver(QObject):
         if name is not None:
             return lambda: load_sensor(name)
         present = self._window.controller.sensor or load_sensor("pico_flexx_75mm")
-        path = source.path
+        path, topic = source.path, source.depth_topic
         if path is not None:
-            return lambda: sensor_for(path, present)
+            return lambda: sensor_for(path, present, depth_topic=topic)
         return lambda: present
 
     def _on_opened(self, opened: Opened) -> None:

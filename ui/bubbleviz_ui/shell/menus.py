@@ -21,6 +21,7 @@ from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
+from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.playback.playback_panel import next_speed
@@ -65,6 +66,7 @@ class Menus:
         self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
         self._add(menu, "Open ground &truth…", self._open_truth)
         self._recent(menu.addMenu("Open &recent"))
+        menu.addMenu(DepthTopicMenu(self._window, menu))
         self._add(menu, "Re&load", self._saver.reload, "F5")
         self._add(menu, "Infor&mation…", self._window.show_information, "Alt+Return")
         self._add(menu, "&Close", self._close, "Ctrl+W")
@@ -390,6 +392,32 @@ class Menus:
         path = file_to_save(self._window, "Save screenshot", proposed, kinds, of="picture")
         if path is not None:
             self._window.save_screenshot(path)
+
+
+class DepthTopicMenu(QMenu):
+    """Topics of a recording of several depth cameras, to open it by another one."""
+
+    def __init__(self, window: MainWindow, parent: QMenu) -> None:
+        super().__init__("Depth to&pic", parent)
+        self.setProperty(DYNAMIC, True)
+        self._opening = window.controller.opening
+        window.state.source_changed.connect(self._fill)
+        self.triggered.connect(self._choose)
+        self.setEnabled(False)
+
+    def _fill(self, facts: SourceFacts) -> None:
+        self.clear()
+        for topic in facts.depth_topics:
+            action = self.addAction(topic)
+            action.setCheckable(True)
+            action.setChecked(topic == facts.depth_topic)
+        self.setEnabled(len(facts.depth_topics) > 1)
+
+    def _choose(self, action: QAction) -> None:
+        source = self._opening.source
+        if source is not None and source.path is not None:
+            path, truth = source.path, source.truth
+            self._opening.open_recording(path, truth=truth, depth_topic=action.text())
 
 
 class CheckMark(QObject):
