@@ -284,6 +284,12 @@ class MainWindow(QMainWindow):
         """Show the keyboard shortcuts."""
         ShortcutsDialog(self, self.shortcuts).open()
 
+    def show_settings(self) -> None:
+        """Show all settings."""
+        from bubbleviz_ui.shell.settings_dialog import SettingsDialog  # not at start
+
+        SettingsDialog(self, self.state, self.undo_recorder).show()
+
     def use_scene(self, preset: ScenePreset) -> None:
         """Apply a scene preset: layers, panels, viewpoint."""
         with self.undo_recorder.one_step("scene"):

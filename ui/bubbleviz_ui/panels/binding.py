@@ -200,9 +200,9 @@ def menu_button(state: SessionState, field: str) -> tuple[QToolButton, dict[str,
 
 
 def options(box: QComboBox, titles: Mapping[Any, str]) -> QComboBox:
-    """Fill a combo box with titles and values."""
+    """Fill a combo box with titles, without the mnemonics of menus, and values."""
     for value, title in titles.items():
-        box.addItem(title, value)
+        box.addItem(title.replace("&", ""), value)
     return box
 
 

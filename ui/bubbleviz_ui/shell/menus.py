@@ -121,6 +121,8 @@ class Menus:
         undo.setShortcut("Ctrl+Z")
         redo.setShortcut("Ctrl+Shift+Z")
         menu.addActions([undo, redo])
+        menu.addSeparator()
+        self._add(menu, "&Settings…", self._window.show_settings, "Ctrl+,")
 
     def _playback(self, menu: QMenu) -> None:
         state = self._window.state
