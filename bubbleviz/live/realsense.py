@@ -42,12 +42,13 @@ class RealSenseLive(LiveSource):
         file: Path | None = None,  # a recording instead of a camera
         size: tuple[int, int] = (640, 480),  # width and height to ask a camera for, pixels
         rate: int = 30,  # frames a second to ask a camera for
+        exposure_ms: float | None = None,  # of a camera's depth images; automatic by default
         loop: bool = False,  # begin a recording again at its end
         prefix: str = "/bubble",  # prefix of the topics
     ) -> None:
         super().__init__(str(file.name if file else serial or "RealSense"))
         self._sdk, self._serial, self._file = sdk, serial, file
-        self._size, self._rate, self._loop = size, rate, loop
+        self._size, self._rate, self._exposure_ms, self._loop = size, rate, exposure_ms, loop
         self._messages = FrameMessages("32FC1", prefix)
 
     def _run(self, deliver: Deliver) -> None:
@@ -81,6 +82,8 @@ class RealSenseLive(LiveSource):
         device = self._device()
         sensor = device.first_depth_sensor()
         depth = self._depth_profile(sensor)
+        if self._file is None:
+            set_exposure(self._sdk, sensor, self._exposure_ms)
         offered = _Colour.of(self._profiles(device, "color"), depth)
         if offered is not None:
             self._offer(OfferedTopic(self._messages.colour_topic, IMAGE))
@@ -223,6 +226,29 @@ class RealSenseLive(LiveSource):
         return bool(device.current_status() == self._sdk.playback_status.stopped)
 
 
+def set_exposure(sdk: Any, sensor: Any, exposure_ms: float | None) -> None:
+    """Fix the exposure time of a sensor, ms, or leave it to the camera.
+
+    Raises InputError: the camera has no such exposure.
+    """
+    time, automatic = sdk.option.exposure, sdk.option.enable_auto_exposure
+    if exposure_ms is None:
+        if sensor.supports(automatic):
+            sensor.set_option(automatic, 1.0)
+        return
+    if not sensor.supports(time):
+        raise InputError("the exposure of this camera cannot be set; leave exposure= out")
+    range_us = sensor.get_option_range(time)
+    if not range_us.min <= 1e3 * exposure_ms <= range_us.max:
+        raise InputError(
+            f"exposure={exposure_ms:g}: this camera has {1e-3 * range_us.min:g} to "
+            f"{1e-3 * range_us.max:g} ms; choose one of them"
+        )
+    if sensor.supports(automatic):
+        sensor.set_option(automatic, 0.0)
+    sensor.set_option(time, 1e3 * exposure_ms)
+
+
 def _finish_reading(device: Any) -> None:
     """Wait until the SDK's reading thread is done with a recording that is closed.
 
@@ -325,8 +351,14 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
         raise uri.refusal(
             f"no camera with serial number {uri.place}; choose one of {', '.join(found)}"
         )
+    options = uri.options
     return RealSenseLive(
-        sdk, serial=uri.place or None, size=size, rate=uri.options.rate, prefix=prefix
+        sdk,
+        serial=uri.place or None,
+        size=size,
+        rate=options.rate,
+        exposure_ms=options.exposure,
+        prefix=prefix,
     )
 
 

@@ -38,6 +38,7 @@ from bubbleviz.live import (
     load_session,
     open_stream,
 )
+from bubbleviz.live.realsense import set_exposure
 from bubbleviz.recordings import Message, Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, finger_pose, grip_poses, oversized_nut
@@ -305,6 +306,30 @@ def test_session_files_are_refused_by_key(tmp_path, change, says):
 @pytest.fixture(scope="module")
 def realsense_file(tmp_path_factory):
     return record_realsense(tmp_path_factory.mktemp("realsense") / "camera.db3", 12)
+
+
+def test_exposure_of_a_realsense_camera_is_set_within_its_range():
+    """On the SDK's software device, whose exposure is 0.1 to 33 ms."""
+    rs = pytest.importorskip("pyrealsense2")
+    device = rs.software_device()
+    sensor, bare = device.add_sensor("Stereo Module"), device.add_sensor("other")
+    for option, high in ((rs.option.exposure, 33_000.0), (rs.option.enable_auto_exposure, 1.0)):
+        limits = rs.option_range()
+        limits.min, limits.max, limits.step = 0.0 if high == 1.0 else 100.0, high, 1.0
+        limits.default = high
+        sensor.add_option(option, limits)
+    set_exposure(rs, sensor, 8.5)
+    assert sensor.get_option(rs.option.exposure) == 8_500.0
+    assert sensor.get_option(rs.option.enable_auto_exposure) == 0.0
+    set_exposure(rs, sensor, None)
+    assert sensor.get_option(rs.option.enable_auto_exposure) == 1.0
+    for each, exposure_ms, problem in (
+        (sensor, 40.0, "0.1 to 33 ms"),
+        (bare, 8.5, "cannot be set"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            set_exposure(rs, each, exposure_ms)
+    set_exposure(rs, bare, None)  # cameras without an exposure have nothing to set
 
 
 def test_realsense_sdk_file_is_replayed_and_looped(realsense_file, small_sensor):
