@@ -169,7 +169,8 @@ class WindowSession:
         with self.window.undo_recorder.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
         if startup.recording is not None:
-            session_saver.restore_after_open(saved, startup.recording)
+            opened = startup.recording, startup.depth_topic
+            session_saver.restore_after_open(saved, *opened)
         if any(each is not None for each in (startup.recording, startup.live, startup.saved)):
             return False
         return self._source_opened(session_saver.open_source(saved))

@@ -262,9 +262,10 @@ class SessionSaver(QObject):
             before=begin,
         )
 
-    def restore_after_open(self, saved: SavedSession, path: Path) -> None:
+    def restore_after_open(self, saved: SavedSession, path: Path, depth_topic: str | None) -> None:
         """Restore range, markers and view after opening, if this is the session's recording."""
-        if saved.source is not None and Path(saved.source) == path.absolute():
+        same = saved.source is not None and Path(saved.source) == path.absolute()
+        if same and saved.depth_topic == depth_topic:
             self._restoring = saved
 
     def reload(self) -> None:
