@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,15 +66,13 @@ def _summaries(source: FrameSource, progress: Progress) -> tuple[np.ndarray, np.
             f"ones; record at least {MIN_FRAMES} without contact"
         )
     tiles, pressures = [], []
-    with ThreadPoolExecutor(1) as beside:  # the next frame is read meanwhile
-        for k in range(len(source)):
-            frame = source[k]
-            tiles.append(beside.submit(tile_depths, frame.depth_m))
-            pressures.append(frame.gas_pressure_pa)
-            progress("finding contact-free frames", (k + 1) / len(source))
+    for k in range(len(source)):
+        frame = source[k]
+        tiles.append(tile_depths(frame.depth_m))
+        pressures.append(frame.gas_pressure_pa)
+        progress("finding contact-free frames", (k + 1) / len(source))
     known = np.array([np.nan if p is None else p for p in pressures])
-    found = np.array([each.result() for each in tiles])
-    return found, known if np.isfinite(known).all() else None
+    return np.array(tiles), known if np.isfinite(known).all() else None
 
 
 def tile_depths(depth: np.ndarray) -> np.ndarray:
