@@ -201,9 +201,6 @@ class RubberMembrane:
         self,
         x: np.ndarray,  # (n, 3)
         pressure_pa: float | np.ndarray,  # float or (n,) array, as of `residual`
-        # (6, 3, 3, m), stiffness of something else between the corners (0, 0), (0, 1), (0, 2), (1,
-        # 1), (1, 2) and (2, 2) of the triangles, by components, N/m
-        added: np.ndarray | None = None,
     ) -> sparse.csc_array:
         """Exact derivative of `residual` over the moving nodes, (3f, 3f), N/m.
 
@@ -211,8 +208,6 @@ class RubberMembrane:
         β g gᵀ with g = ∂V/∂x and β = −dp/dV. The matrices of all calls share their indices.
         """
         pattern, blocks = self._assembly, self._area_blocks(x)
-        if added is not None:
-            blocks += added
         if np.ndim(pressure_pa):
             row_pressure = np.asarray(pressure_pa, float)[self.moving][pattern.indices // 3]
             data = pattern.assembled(blocks)

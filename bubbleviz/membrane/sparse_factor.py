@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, lu_factor, lu_solve
+from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse.linalg import SuperLU, splu
 
 # Sparse factorisation of symmetric matrices.
@@ -113,14 +113,15 @@ class Factor(LinearSolver):
 
 
 class BlockFactoriser:
-    """Factorises symmetric matrices of which only the values in a block of rows change.
+    """Factorises matrices of which only the values in a block of rows change.
 
     The other rows are eliminated once; a factorisation then is a dense one of the block.
 
     Parameters
     ----------
     matrix : (n, n) sparse array
-        In CSC with sorted indices, with 3×3 blocks. Outside the block its values are kept.
+        Symmetric, in CSC with sorted indices, with 3×3 blocks. Outside the block its values are
+        kept.
     block : (n,) bool array
         Rows of the block.
     """
@@ -137,18 +138,24 @@ class BlockFactoriser:
             self.interior = Factoriser(interior).factor(interior.data)
             self.back = self.interior.solve(self.coupling)
         self._eliminated = self.coupling.T @ self.back
-        number = np.full(len(block), -1)
+        self._number = number = np.full(len(block), -1)
         number[self.block] = np.arange(len(self.block))
         row, column = number[matrix.indices], np.repeat(number, np.diff(matrix.indptr))
         self._entries = np.flatnonzero((row >= 0) & (column >= 0))
-        self._places = column[self._entries] * len(self.block) + row[self._entries]
+        self._places = column[self._entries] * (len(self.block) + 1) + row[self._entries]
 
-    def factor(self, data: np.ndarray) -> BlockFactor:
-        """Factorise the matrix with these data (nnz,), of which those in the block are used."""
+    def factor(self, data: np.ndarray, rows: np.ndarray, added: np.ndarray) -> BlockFactor:
+        """Factorise the matrix with these data (nnz,), of which those in the block are used.
+
+        Matrices `added` (c, q, q), symmetric or not, are added at rows (c, q) of the block; those
+        at −1 are left out.
+        """
         size = len(self.block)
-        flat = np.zeros(size * size)
+        number = np.where(rows < 0, size, self._number[rows])
+        flat = np.zeros((size + 1) ** 2)
         flat[self._places] = data[self._entries]
-        dense = flat.reshape(size, size).T
+        np.add.at(flat, number[:, None] * (size + 1) + number[:, :, None], added)
+        dense = flat.reshape(size + 1, size + 1)[:size, :size].T
         dense[np.ix_(self.edge, self.edge)] -= self._eliminated
         return BlockFactor(self, dense)
 
@@ -157,13 +164,7 @@ class BlockFactor(LinearSolver):
     """A matrix factorised by a `BlockFactoriser`."""
 
     def __init__(self, own: BlockFactoriser, dense: np.ndarray) -> None:
-        self._own = own
-        solve: Any = cho_solve
-        try:
-            factor = cho_factor(dense, check_finite=False)
-        except LinAlgError:  # not positive definite
-            solve, factor = lu_solve, lu_factor(dense, check_finite=False)
-        self._solve = partial(solve, factor, check_finite=False)
+        self._own, self._lu = own, lu_factor(dense, check_finite=False)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K⁻¹ b for one (3f,) or several (3f, k) right sides."""
@@ -171,7 +172,7 @@ class BlockFactor(LinearSolver):
         if len(own.rest):
             out[own.rest] = alone = own.interior.solve(right[own.rest])
             load[own.edge] -= own.coupling.T @ alone
-        out[own.block] = found = self._solve(load)
+        out[own.block] = found = lu_solve(self._lu, load, check_finite=False)
         out[own.rest] -= own.back @ found[own.edge]
         return out
 

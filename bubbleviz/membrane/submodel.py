@@ -70,6 +70,8 @@ class Submodel:
         self.mesh, self.ends = finer.mesh, nodes[finer.ends]
         self._inner = whole.on(self.mesh, inside[finer.parent])
         self._moving, self._gauge_pa = self._inner.moving, whole.gauge_pressure_pa
+        self._rows = np.full((len(self.mesh.nodes), 3), -1)
+        self._rows[self._moving] = np.arange(3 * len(self._moving)).reshape(-1, 3)
         self._rest_volume = self._inner.volume(self.mesh.nodes)
         self._border = np.zeros(0, int)
         self._stiffness, self._gradient, self._compliance = np.zeros((0, 0)), np.zeros(0), 0.0
@@ -126,9 +128,9 @@ class Submodel:
         # x, forces: (k, 3), nodes, m, and forces on them, N
         x: np.ndarray,
         forces: np.ndarray,
-        # (6, 3, 3, m), stiffness of what exerts them, as of `RubberMembrane.tangent`
+        # (c, 3) int, (c, 9, 9): corners of loaded triangles, and stiffness of what loads them
+        loaded: np.ndarray,
         added: np.ndarray,
-        loaded: np.ndarray,  # (c, 3) int, corners of the triangles to which it is added
         gas: Gas | HeldPressure,
     ) -> tuple[Tangent, np.ndarray]:
         """Tangent at nodes x (k, 3), and the residual forces (k, 3)."""
@@ -141,11 +143,13 @@ class Submodel:
         rest[self._border] = self._stiffness @ border - change * self._gradient
         residual[self._moving] -= rest.reshape(-1, 3)
         data = np.zeros(self._pattern.nnz)
-        data[self._inner_places] = inner.tangent(x, self._gauge_pa + change, added).data
+        data[self._inner_places] = inner.tangent(x, self._gauge_pa + change).data
         data[self._outer_places] += self._stiffness.T.ravel()
         gradient = inner.volume_gradient(x)[self._moving].ravel()
         gradient[self._border] += self._gradient
-        factor = self._around(loaded, x, data).factor(data)
+        factor = self._around(loaded, x, data).factor(
+            data, self._rows[loaded].reshape(-1, 9), added
+        )
         return Tangent(factor, gradient, weight, self._moving), residual
 
     def _around(self, loaded: np.ndarray, x: np.ndarray, data: np.ndarray) -> BlockFactoriser:

@@ -26,10 +26,13 @@ class PressOptions:
     finer_m: float = 0.0
     # depth inside the membrane beyond which a point belongs to the far side of the object
     max_depth_m: float = 6e-3
-    # cosine between the normals of object and membrane beyond which they face the same way
-    max_cosine: float = -0.1
-    # Newton step that counts as converged: it moves no pixel by more than a tenth of its noise
-    converged_m: float = 1e-4
+    # cosine between the direction in which a point pushes and the membrane's normal, below which it
+    # is in contact. Beyond 60° the closest membrane is beside the point: that of a wall in the air
+    # above the membrane would count as inside it, by rounding.
+    max_cosine: float = -0.5
+    # Newton step that counts as converged: steps shrink to less than a half, and what is left moves
+    # no pixel by more than a tenth of its noise
+    converged_m: float = 2e-4
     # limit of a Newton step: the size of a triangle, beyond which the contact changes
     max_step_m: float = 3e-3
     # limit for one pose; from the estimated membrane some four are needed

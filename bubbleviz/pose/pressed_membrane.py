@@ -85,11 +85,13 @@ class Touching:
     triangle: np.ndarray  # (c,) int, of the membrane, the one below each
     corners: np.ndarray  # (c, 3) int, its nodes
     weights: np.ndarray  # (c, 3), barycentric coordinates there
-    gradients: np.ndarray  # (c, 3, 3), of these in B, by corner, 1/m
-    # (c, 3), direction in which the object pushes the membrane, out of the object
+    # (c, 3), direction in which the object pushes the membrane, out of the object: that of a face,
+    # on an edge the membrane's, limited to the cone of the normals of both faces
     normals: np.ndarray
     force_n: np.ndarray  # (c,), contact force; negative if tensile
-    stiffness_n_per_m: np.ndarray  # (c,), of the point
+    # (c, 3, 3), derivative of that force on each corner by motion of the point over the triangle:
+    # the penetration changes, and the load passes from corner to corner
+    slopes_n_per_m: np.ndarray
     edge: np.ndarray  # (c,) bool, on an edge of the object
     # (c, 3), derivative of points on edges by the edge radius; 0 on faces. The centre of a rounding
     # is at a distance of its radius inside both faces, and the pushing point that far from there.
@@ -101,28 +103,14 @@ class Touching:
         return _sum_at_nodes(self.corners, shares, count)
 
     def pulled_along(self, motions: np.ndarray, count: int) -> np.ndarray:
-        """Change of the forces on the nodes (count, 3) as the points move by motions (c, 3).
-
-        The penetration changes, and the loads move over the triangles with the points.
-        """
-        sinking = np.einsum("ci,ci->c", self.normals, motions) * self.stiffness_n_per_m
-        over = np.einsum("caj,cj->ca", self.gradients, motions) * self.force_n[:, None]
-        shares = sinking[:, None] * self.weights + over
+        """Change of the forces on the nodes (count, 3) as the points move by motions (c, 3)."""
+        shares = np.einsum("caj,cj->ca", self.slopes_n_per_m, motions)
         return _sum_at_nodes(self.corners, shares[:, :, None] * self.normals[:, None], count)
 
-    def blocks(self, triangles: int) -> np.ndarray:
-        """Contact stiffness by motions of the nodes, as `RubberMembrane.tangent` adds it."""
-        outer = self.normals[:, :, None] * self.normals[:, None]
-        outer *= self.stiffness_n_per_m[:, None, None]
-        blocks = np.empty((6, 3, 3, triangles))
-        pairs = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
-        for block, (a, b) in zip(blocks, pairs, strict=True):
-            shares = self.weights[:, a] * self.weights[:, b]
-            for i in range(3):
-                for j in range(3):
-                    values = shares * outer[:, i, j]
-                    block[i, j] = np.bincount(self.triangle, values, minlength=triangles)
-        return blocks
+    def stiffness(self) -> np.ndarray:
+        """Stiffness (c, 9, 9) of the contacts by motions of their corners; not symmetric."""
+        each = np.einsum("ci,caj,cb->caibj", self.normals, self.slopes_n_per_m, self.weights)
+        return each.reshape(-1, 9, 9)
 
 
 class ObjectContact:
@@ -148,25 +136,29 @@ class ObjectContact:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the directions in which edges push, the active set, and known distances."""
-        self._pushing = np.zeros_like(self._points)
+        """Reset the active set, expected forces, and known distances."""
         self._active = np.zeros(len(self._points), bool)
+        self._expected_n = np.zeros(len(self._points))
         # lower bound of the distance of each point from the membrane, 0 where they touch; membrane
         # and points of the last call. Points further away than both have moved are not looked at.
         self._clear_m = np.zeros(len(self._points))
         self._seen: tuple[np.ndarray, np.ndarray] | None = None
 
-    def set_active(self, touching: Touching, motion: np.ndarray) -> None:
+    def expect(self, touching: Touching, motion: np.ndarray) -> None:
         """Set as active the points that push after a motion (n, 3) of the nodes, to first order.
 
         Second-order terms lift the membrane off a face by more than the penetration. A tangent
         without these contacts would move the membrane through the object (primal-dual active set).
+        The forces that pass over the triangles in the tangent are those expected then, as those of
+        stiff points are far off before convergence; none after a long motion, which expects too
+        much.
         """
         way = np.einsum("ca,cai->ci", touching.weights, motion[touching.corners])
-        sinking = np.einsum("ci,ci->c", way, touching.normals)
-        self._active[:] = False
-        force_n = touching.force_n - touching.stiffness_n_per_m * sinking
-        self._active[touching.which[force_n > 0.0]] = True
+        force_n = touching.force_n - np.einsum("caj,cj->c", touching.slopes_n_per_m, way)
+        short = np.abs(motion).max() < 0.5 * self._options.max_step_m
+        self._active[:], self._expected_n[:] = False, 0.0
+        self._active[touching.which] = force_n > 0.0
+        self._expected_n[touching.which] = np.maximum(force_n, 0.0) * short
 
     def touching(self, x: np.ndarray, triangles: np.ndarray, T_B_O: np.ndarray) -> Touching:
         """Active points, and those inside the membrane of nodes x (n, 3), triangles (m, 3)."""
@@ -190,52 +182,36 @@ class ObjectContact:
         smooth = np.einsum("ci,cij->cj", weights, smooth[corners])
         smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
         normals = self._normals[close] @ R.T
-        pushing = self._push_directions(close, normals, -smooth, R)
-        facing = np.einsum("cj,cij->ci", smooth, normals).min(axis=1) < self._options.max_cosine
+        edge, pushing = self._edge[close], normals[:, 0].copy()
+        pushing[edge] = _limited_to_cone(normals[edge], -smooth[edge])
+        facing = np.einsum("cj,cj->c", smooth, pushing) < self._options.max_cosine
         way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
-        depth = -np.einsum("ij,ij->i", way, pushing)
-        length = np.linalg.norm(way, axis=1)
-        touched = (facing & (depth > 0.0)) | self._active[close]
+        depth, length = -np.einsum("ij,ij->i", way, pushing), np.linalg.norm(way, axis=1)
+        touched = (depth > 0.0) | self._active[close]
         self._clear_m[close] = np.where(touched, 0.0, length)
-        inside = np.flatnonzero(touched & (length < self._options.max_depth_m))
-        kept, corners = close[inside], corners[inside]
+        inside = np.flatnonzero(touched & facing & (length < self._options.max_depth_m))
+        kept, corners, pushing = close[inside], corners[inside], pushing[inside]
+        force_n, weights = self._stiffness[kept] * depth[inside], weights[inside]
+        sinking = self._stiffness[kept, None] * pushing
+        slopes = weights[:, :, None] * sinking[:, None]
+        slopes += self._expected_n[kept, None, None] * _gradients(x[corners])
         return Touching(
             which=kept,
             points=points[kept],
             triangle=found.triangle[inside],
             corners=corners,
-            weights=weights[inside],
-            gradients=_gradients(x[corners]),
-            normals=pushing[inside],
-            force_n=self._stiffness[kept] * depth[inside],
-            stiffness_n_per_m=self._stiffness[kept],
+            weights=weights,
+            normals=pushing,
+            force_n=force_n,
+            slopes_n_per_m=slopes,
             edge=self._edge[kept],
-            rounding=pushing[inside] - self._core[kept] @ R.T,
+            rounding=pushing - self._core[kept] @ R.T,
         )
 
-    def _push_directions(
-        self, which: np.ndarray, normals: np.ndarray, inward: np.ndarray, R: np.ndarray
-    ) -> np.ndarray:
-        """Directions (k, 3) in which points push the membrane.
 
-        A face pushes along its normal, an edge along the membrane's (`inward`), limited to the cone
-        of the normals of its two faces. Averaging with the last direction prevents oscillation of
-        Newton's method.
-        """
-        first, second = normals[:, 0], normals[:, 1]
-        edge = self._edge[which]
-        mixed = _limited_to_cone(first[edge], second[edge], inward[edge])
-        before = self._pushing[which[edge]] @ R.T
-        mixed += before
-        mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
-        self._pushing[which[edge]] = mixed @ R
-        pushing = first.copy()
-        pushing[edge] = mixed
-        return pushing
-
-
-def _limited_to_cone(first: np.ndarray, second: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Unit vectors (k, 3) closest to the wanted ones in the cones of two unit vectors."""
+def _limited_to_cone(normals: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Unit vectors (k, 3) closest to the wanted ones in the cones of two unit vectors (k, 2, 3)."""
+    first, second = normals[:, 0], normals[:, 1]
     c, a, b = (np.einsum("ij,ij->i", *pair) for pair in
                ((first, second), (wanted, first), (wanted, second)))  # fmt: skip
     by_first, by_second = np.maximum(a - c * b, 0.0), np.maximum(b - c * a, 0.0)
@@ -354,14 +330,15 @@ class PressedMembrane:
             touching = self._object.touching(x, triangles, T_B_O)
             push = touching.on_nodes(touching.force_n[:, None] * touching.normals, len(x))
             try:
-                blocks = touching.blocks(len(triangles))
-                tangent, missed = part.linearised(x, push + friction, blocks, touching.corners, gas)
+                tangent, missed = part.linearised(
+                    x, push + friction, touching.corners, touching.stiffness(), gas
+                )
             except RuntimeError:  # singular
                 return None
             step = tangent.moved(missed[None])[0]
             longest = float(np.abs(step).max())
             step *= min(1.0, self._options.max_step_m / max(longest, 1e-300))
-            self._object.set_active(touching, step)
+            self._object.expect(touching, step)
             x = x + step
             if longest < self._options.converged_m:
                 return _pressed(part, x, T_B_O, center, touching, tangent)

@@ -61,7 +61,12 @@ def test_changed_blocks_are_solved_with_the_rest_as_it_was(matrix, size, shift):
     changed.setdiag(changed.diagonal() + shift)
     K = np.where(np.outer(block, block), changed.toarray(), matrix.toarray())
     assert (np.linalg.eigvalsh(K).min() < 0.0) == (size > 0 and shift < 0.0)
-    factor = BlockFactoriser(matrix, block).factor(changed.data)
+    rows = rng.choice(np.append(np.flatnonzero(block), -1), (10, 9))
+    added = rng.standard_normal((10, 9, 9))
+    for own, places in zip(added, rows, strict=True):
+        held = places < 0
+        np.add.at(K, (places[:, None], places), np.where(held[:, None] | held, 0.0, own))
+    factor = BlockFactoriser(matrix, block).factor(changed.data, rows, added)
     for right in (rng.standard_normal(len(K)), rng.standard_normal((len(K), 4))):
         np.testing.assert_allclose(K @ factor.solve(right), right, atol=1e-8)
 

@@ -30,9 +30,9 @@ def test_submodel_responds_to_small_forces_like_the_full_model(reach_m, held):
     nodes = part.ends[:, 0]
     inside = np.linalg.norm(part.mesh.nodes - PLACE, axis=1) < 0.2 * A
     forces = np.where(inside[:, None], [1e-4, 2e-4, -1e-3], 0.0)
-    nothing = np.zeros((6, 3, 3, len(part.mesh.triangles)))
     loaded = part.mesh.triangles[inside[part.mesh.triangles].any(axis=1)]
-    tangent, missed = part.linearised(part.mesh.nodes, forces, nothing, loaded, gas)
+    nothing = np.zeros((len(loaded), 9, 9))
+    tangent, missed = part.linearised(part.mesh.nodes, forces, loaded, nothing, gas)
     everywhere = np.zeros_like(membrane.mesh.nodes)
     everywhere[nodes] = np.where(part.mesh.rim[:, None], 0.0, forces)
     exact = full_model_motion(membrane, gas, everywhere)[nodes]
@@ -48,10 +48,9 @@ def test_refined_submodel_moves_like_the_coarse_one():
         own = np.flatnonzero(part.ends[:, 0] == part.ends[:, 1])
         areas = part.mesh.areas * (np.linalg.norm(part.mesh.nodes - PLACE, axis=1) < 0.2 * A)
         forces = -100.0 * areas[:, None] * part.mesh.normals
-        nothing = np.zeros((6, 3, 3, len(part.mesh.triangles)))
-        tangent, missed = part.linearised(
-            part.mesh.nodes, forces, nothing, part.mesh.triangles, gas
-        )
+        triangles = part.mesh.triangles
+        nothing = np.zeros((len(triangles), 9, 9))
+        tangent, missed = part.linearised(part.mesh.nodes, forces, triangles, nothing, gas)
         whole = np.full(membrane.mesh.nodes.shape, np.nan)
         whole[part.ends[own, 0]] = tangent.moved(missed[None])[0][own]
         motions.append(whole)

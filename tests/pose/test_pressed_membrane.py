@@ -170,6 +170,31 @@ def test_warm_start_equals_cold_start(pipeline, rubber, contact):
     assert np.abs(followed.nodes - followed.part.mesh.nodes).max() > 8e-3
 
 
+@pytest.mark.parametrize("name", ["bridge", "two_legged_toy"])
+def test_object_far_from_the_estimate_is_pressed(pipeline, rubber, contact, name):
+    """The loads' motion over the triangles would lead astray in the first, long steps."""
+    there, options = pose(x=-0.004, z=0.039, turn=1.0), PressOptions()
+    found = pressed(pipeline, rubber, name, options).press(there, contact)
+    exact = pressed(pipeline, rubber, name).press(there, contact)
+    assert np.abs(found.nodes - exact.nodes).max() < options.converged_m
+
+
+@pytest.mark.parametrize("name", ["cylinder", "bridge"])
+def test_only_points_at_the_membrane_are_in_contact(pipeline, rubber, contact, name):
+    """Walls of the object above the membrane are not, however close their normals are to it."""
+    import open3d
+
+    there = pose(x=0.006, z=0.0385, turn=0.4)
+    press, model = pressed(pipeline, rubber, name).press(there, contact), study_object(name)
+    nodes, triangles = press.nodes, press.part.mesh.triangles
+    every = ObjectContact(ObjectSurface(model), 1e-3, 1e3, 50.0, PressOptions())
+    points = every.touching(nodes, triangles, there).points
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(nodes.astype("f4"), triangles.astype("u4"))
+    assert len(points) > 50
+    assert scene.compute_distance(points.astype("f4")).numpy().max() < 1e-3
+
+
 def test_moved_object_needs_few_steps(pipeline, rubber, contact, monkeypatch):
     """Contacts are kept in the tangent from pose to pose."""
     membrane, count = pressed(pipeline, rubber, "cylinder", PressOptions()), []
@@ -178,7 +203,7 @@ def test_moved_object_needs_few_steps(pipeline, rubber, contact, monkeypatch):
     monkeypatch.setattr(Submodel, "linearised", lambda *a: count.append(1) or linearised(*a))
     for k in range(1, 5):
         assert membrane.press(pose(x=0.003 + 4e-4 * k, z=0.040 - 2e-4 * k), contact) is not None
-    assert len(count) < 14
+    assert len(count) < 10
 
 
 def test_without_contact_the_membrane_is_at_rest(pipeline, rubber, contact):
