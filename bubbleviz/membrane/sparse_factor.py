@@ -154,7 +154,8 @@ class BlockFactoriser:
         number = np.where(rows < 0, size, self._number[rows])
         flat = np.zeros((size + 1) ** 2)
         flat[self._places] = data[self._entries]
-        np.add.at(flat, number[:, None] * (size + 1) + number[:, :, None], added)
+        places = number[:, None] * (size + 1) + number[:, :, None]
+        flat += np.bincount(places.ravel(), added.ravel(), minlength=len(flat))
         dense = flat.reshape(size + 1, size + 1)[:size, :size].T
         dense[np.ix_(self.edge, self.edge)] -= self._eliminated
         return BlockFactor(self, dense)
