@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 _SOURCES = Path(bv.__file__).parent
 _UNIT = re.compile(r"(_s|_hz|_px|(?<=_sigma)_m)$")
-"""Of a parameter, without which its option is called."""
+"""Unit at the end of a parameter's name, which the name of its option leaves out."""
 _CONSTANTS = {"AUTO": "auto"}
-"""Default values by name."""
+"""Values of constants that are defaults."""
 _RANGES: dict[str, click.ParamType[Any]] = {
     "friction": click.FloatRange(0.0),
     "colour_delay_s": click.FloatRange(-MAX_COLOUR_DELAY_S, MAX_COLOUR_DELAY_S),
