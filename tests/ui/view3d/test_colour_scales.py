@@ -11,7 +11,9 @@ from PySide6.QtCore import QPoint, Qt
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from window_driver import CTRL, Driver, hover, view_texts, vtk_props
 
+from bubbleviz.diagnostics import Numbers
 from bubbleviz_ui.export.exporting import KINDS
+from bubbleviz_ui.model.frame_history import Extremes
 
 
 @pytest.fixture
@@ -86,6 +88,19 @@ def test_frames_solved_ahead_are_drawn_again_only_for_another_scale(drive):
     driver = drive(lambda sensor: LongSource(sensor, deep=(), usual=3), frame=0)  # no contact
     # opened, solved from rest, and twice asked for by the driver
     assert driver.window.view.render_count <= 6
+
+
+def test_usual_peak_pressure_never_shrinks_while_a_press_grows_and_leaves_out_outliers():
+    extremes, seen = Extremes(), []
+    for frame, peak_kpa in enumerate((1.0, 5.0, 9.0, 11.0, 12.0, 12.5, 12.2)):
+        extremes.include(frame, Numbers(peak_pa=1e3 * peak_kpa))
+        seen.append(extremes.usual_peak_pa)
+    assert seen == sorted(seen) and seen[-1] == 12_500.0
+    for frame in (7, 8):
+        extremes.include(frame, Numbers(peak_pa=60e3))
+    assert extremes.usual_peak_pa == 12_500.0
+    extremes.include(9, Numbers(peak_pa=60e3))  # three are no outliers
+    assert extremes.usual_peak_pa == 60e3
 
 
 def test_scale_grows_only_in_the_first_pass_of_playback(drive):

@@ -40,6 +40,9 @@ _FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
 
 OUTLIERS, OUTLIER_RATIO = 2, 1.5
 """So many frames whose largest pressure exceeds that of all others by this ratio are outliers."""
+_ENOUGH = 2 * OUTLIERS + 1
+"""Frames in contact from which outliers are a minority. In fewer, the first ones of a press differ
+by as much, and the scale would shrink while it grows."""
 
 
 class Extremes:
@@ -52,10 +55,10 @@ class Extremes:
     @property
     def usual_peak_pa(self) -> float:
         """Largest contact pressure of all frames except outliers; 0 without contact."""
-        peaks = sorted(self._peaks_pa.values())
-        if len(peaks) <= OUTLIERS:
-            return peaks[-1] if peaks else 0.0
-        return max(peak for peak in peaks if peak <= OUTLIER_RATIO * peaks[0])
+        peaks = sorted(self._peaks_pa.values(), reverse=True)
+        if len(peaks) < _ENOUGH:
+            return peaks[0] if peaks else 0.0
+        return max(peak for peak in peaks if peak <= OUTLIER_RATIO * peaks[OUTLIERS])
 
     def include(self, frame: int, known: Numbers) -> None:
         """Include a frame."""
@@ -63,7 +66,7 @@ class Extremes:
         self.force_n = float(np.fmax(self.force_n, known.force_n))
         if known.peak_pa > 0.0:
             self._peaks_pa[frame] = known.peak_pa
-            highest = sorted(self._peaks_pa, key=self._peaks_pa.__getitem__)[-1 - OUTLIERS :]
+            highest = sorted(self._peaks_pa, key=self._peaks_pa.__getitem__)[-_ENOUGH:]
             self._peaks_pa = {frame: self._peaks_pa[frame] for frame in highest}
 
 
