@@ -143,8 +143,11 @@ def test_all_frames_are_analysed_in_the_background_and_missing_ones_break_curves
     box = panel.plots["residual"].box
 
     def drawn():
-        at = graphics_view(panel).mapFromScene(box.mapViewToScene(QPointF(times[10], values[10])))
-        red, _, blue = painted(graphics_view(panel))[at.y(), at.x()].astype(int)
+        view = graphics_view(panel)
+        at = view.mapFromScene(box.mapViewToScene(QPointF(times[10], values[10])))
+        if not view.rect().contains(at):
+            return False
+        red, _, blue = painted(view)[at.y(), at.x()].astype(int)
         return blue > red + 60
 
     driver.wait(drawn)  # the axes follow the curve once it is there
