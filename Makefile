@@ -21,6 +21,8 @@ test test-all: setup
 test-all pages: export TEST_ALL = 1
 # Even where the environment forbids it: else every process of a test compiles what it imports
 test test-all pages: export PYTHONDONTWRITEBYTECODE =
+# Two workers on two cores: more threads of linear algebra would only wait for each other
+test test-all: export OMP_NUM_THREADS = 1
 
 lint: setup
 	.venv/bin/ruff check .

@@ -202,8 +202,8 @@ def test_membrane_is_shown_while_the_simulation_is_prepared_and_can_be_closed(qa
                 if np.abs(middle.astype(int) - corner).sum() < 100:
                     continue  # nothing is drawn yet
                 seen.append(window.busy.label.text())
+                prepared.set()  # closing waits for the solver
                 window.close()
-                prepared.set()
 
     monkeypatch.setattr(source, "SYNTHETIC", replace(source.SYNTHETIC, open=slowly))
     timer = QTimer(interval=20)

@@ -137,7 +137,7 @@ class NoticeBar(QFrame):
         for button in buttons:
             button.setAutoRaise(True)
         fill(QHBoxLayout(self), (self.label, 1), *buttons, margins=(8, 0, 4, 0), spacing=2)
-        self._due = QTimer(self, interval=NOTICE_MS)
+        self._due = QTimer(self)
         self._due.timeout.connect(self._hide_unless_hovered)
         self.hide()
         bar.setCornerWidget(self)
@@ -157,7 +157,7 @@ class NoticeBar(QFrame):
         self._file = None if message.file is None else message.file.absolute()
         for button in (self.open, self.folder):
             button.setVisible(self._file is not None)
-        self._due.start()
+        self._due.start(NOTICE_MS)
         self.hide()
         menus = self._bar.actionGeometry(self._bar.actions()[-1])
         self._room = QSize(self._bar.width() - menus.right() - GAP, menus.height())
