@@ -41,7 +41,7 @@ class _Seen(NamedTuple):
 class StillFrames:
     """Frames of a recording, with the mean of the images around that show the same.
 
-    Without a recording: frames of a stream, with those seen before.
+    Without `source`: frames of a stream, with the mean of those that came before.
     """
 
     def __init__(self, pipeline: Pipeline, source: FrameSource | None = None) -> None:

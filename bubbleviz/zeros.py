@@ -269,7 +269,7 @@ class Zeros(NamedTuple):
 
     @classmethod
     def of_stream(cls, gas: PressureZero | None, pipeline: Pipeline) -> Zeros:
-        """Of frames that come one after the other, which the zeros follow."""
+        """Zeros of a stream, which are updated by its frames (`follow`)."""
         return cls(gas, ImageZero(), StillFrames(pipeline) if _knows_errors(pipeline) else None)
 
     def applied(self, frame: Frame) -> Frame:

@@ -134,7 +134,7 @@ class ZenohOptions(SourceOptions):
 
 class RealSenseOptions(SourceOptions):
     rate: int = Field(30, ge=1, le=300)
-    exposure: float | None = Field(None, ge=0.001, le=1000.0)  # ms; None: automatic
+    exposure: float | None = Field(None, ge=0.001, le=1000.0)  # ms; None: as the camera is set
     loop: bool = False
 
 

@@ -42,7 +42,7 @@ class RealSenseLive(LiveSource):
         file: Path | None = None,  # a recording instead of a camera
         size: tuple[int, int] = (640, 480),  # width and height to ask a camera for, pixels
         rate: int = 30,  # frames a second to ask a camera for
-        exposure_ms: float | None = None,  # of a camera's depth images; automatic by default
+        exposure_ms: float | None = None,  # of a camera's depth images; by default as it is set
         loop: bool = False,  # begin a recording again at its end
         prefix: str = "/bubble",  # prefix of the topics
     ) -> None:
@@ -82,7 +82,7 @@ class RealSenseLive(LiveSource):
         device = self._device()
         sensor = device.first_depth_sensor()
         depth = self._depth_profile(sensor)
-        if self._file is None:
+        if self._exposure_ms is not None:
             set_exposure(self._sdk, sensor, self._exposure_ms)
         offered = _Colour.of(self._profiles(device, "color"), depth)
         if offered is not None:
@@ -226,16 +226,12 @@ class RealSenseLive(LiveSource):
         return bool(device.current_status() == self._sdk.playback_status.stopped)
 
 
-def set_exposure(sdk: Any, sensor: Any, exposure_ms: float | None) -> None:
-    """Fix the exposure time of a sensor, ms, or leave it to the camera.
+def set_exposure(sdk: Any, sensor: Any, exposure_ms: float) -> None:
+    """Fix the exposure time of a sensor, ms.
 
     Raises InputError: the camera has no such exposure.
     """
     time, automatic = sdk.option.exposure, sdk.option.enable_auto_exposure
-    if exposure_ms is None:
-        if sensor.supports(automatic):
-            sensor.set_option(automatic, 1.0)
-        return
     if not sensor.supports(time):
         raise InputError("the exposure of this camera cannot be set; leave exposure= out")
     range_us = sensor.get_option_range(time)
@@ -340,6 +336,8 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
         file = Path(uri.place)
         if not file.is_file():
             raise uri.refusal(f"{file}: no such file, or no access to it; check the path")
+        if uri.options.exposure is not None:
+            raise uri.refusal("the exposure of a file cannot be changed; leave exposure= out")
         return RealSenseLive(sdk, file=file, loop=uri.options.loop, prefix=prefix)
     found = serials(sdk)
     if not found:

@@ -321,15 +321,17 @@ def test_exposure_of_a_realsense_camera_is_set_within_its_range():
     set_exposure(rs, sensor, 8.5)
     assert sensor.get_option(rs.option.exposure) == 8_500.0
     assert sensor.get_option(rs.option.enable_auto_exposure) == 0.0
-    set_exposure(rs, sensor, None)
-    assert sensor.get_option(rs.option.enable_auto_exposure) == 1.0
     for each, exposure_ms, problem in (
         (sensor, 40.0, "0.1 to 33 ms"),
         (bare, 8.5, "cannot be set"),
     ):
         with pytest.raises(InputError, match=problem):
             set_exposure(rs, each, exposure_ms)
-    set_exposure(rs, bare, None)  # cameras without an exposure have nothing to set
+
+
+def test_exposure_of_a_realsense_file_is_refused(realsense_file, small_sensor):
+    with pytest.raises(InputError, match="exposure of a file cannot be changed"):
+        open_stream(f"realsense:{realsense_file}?exposure=8", small_sensor)
 
 
 def test_realsense_sdk_file_is_replayed_and_looped(realsense_file, small_sensor):

@@ -285,7 +285,7 @@ class MainWindow(QMainWindow):
         ShortcutsDialog(self, self.shortcuts).open()
 
     def show_settings(self) -> None:
-        """Show all settings."""
+        """Show the settings."""
         from bubbleviz_ui.shell.settings_dialog import SettingsDialog  # not at start
 
         SettingsDialog(self, self.state, self.undo_recorder).show()

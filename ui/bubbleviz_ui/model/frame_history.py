@@ -41,8 +41,8 @@ _FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
 OUTLIERS, OUTLIER_RATIO = 2, 1.5
 """So many frames whose largest pressure exceeds that of all others by this ratio are outliers."""
 _ENOUGH = 2 * OUTLIERS + 1
-"""Frames in contact from which outliers are a minority. In fewer, the first ones of a press differ
-by as much, and the scale would shrink while it grows."""
+"""Fewest frames in contact for outliers to be left out. The first frames of a press differ as much:
+taken for outliers, they would make the scale shrink while the press grows."""
 
 
 class Extremes:

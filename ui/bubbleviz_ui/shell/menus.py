@@ -418,8 +418,8 @@ class DepthTopicMenu(QMenu):
     def _choose(self, action: QAction) -> None:
         source = self._opening.source
         if source is not None and source.path is not None:
-            path, truth = source.path, source.truth
-            self._opening.open_recording(path, truth=truth, depth_topic=action.text())
+            # without the ground truth, which is that of one sensor
+            self._opening.open_recording(source.path, depth_topic=action.text())
 
 
 class CheckMark(QObject):

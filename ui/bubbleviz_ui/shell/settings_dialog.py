@@ -1,4 +1,4 @@
-"""All settings in one place, with a search."""
+"""Settings in one place, with a search; what to show is chosen in menus and panels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from bubbleviz_ui.panels.binding import control, watch_controls
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import bold
 
-SIZE = (440, 560)  # px
+SIZE = (440, 400)  # px; fits a screen of 1024×700 pixels at 150 %
 SECTIONS = {
     "Solver and patch": ("solver", "least_area_m2", "flow_preset"),
     "Playback": ("speed", "every_frame", "loop"),
@@ -37,7 +37,7 @@ SECTIONS = {
 
 
 class SettingsDialog(QDialog):
-    """Controls of all settings; each acts at once and can be undone."""
+    """Controls of settings; each acts at once and can be undone."""
 
     def __init__(self, parent: QWidget, state: SessionState, undo: UndoRecorder) -> None:
         super().__init__(parent)
