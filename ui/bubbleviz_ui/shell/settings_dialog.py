@@ -29,7 +29,7 @@ SECTIONS = {
     "Solver and patch": ("solver", "least_area_m2", "flow_preset"),
     "Playback": ("speed", "every_frame", "loop"),
     "View": ("membrane_opacity", "exaggeration", "section_axis", "cloud_colour", "cloud_points"),
-    "Colours": ("theme", "colour_map", "pressure_max_pa", "residual_max_m"),
+    "Theme and colours": ("theme", "colour_map", "pressure_max_pa", "residual_max_m"),
     "Units": ("length_unit", "pressure_unit", "force_unit", "duration_unit"),
     "Recording": ("pre_roll_s",),
 }
