@@ -328,7 +328,7 @@ class Iteration:
                 self._noises.append(self._noise if done else Noise(np.inf, np.inf))
                 self._selections = self._steps = self._stalled = self._settling = 0
             self._noise = updated
-        self._selecting = converged or self._large or first_guess
+        self._selecting = converged or self._large or first_guess or self._steps <= 2
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
