@@ -331,7 +331,9 @@ class ContactProblem:
         """
         prior, pivots = self._prior, 0
         gradient = self.gradient(self._p0) + prior.threshold
-        work = prior.with_neighbours(start | (self._p0 > 0.0)) | self._steepest(gradient, start)
+        work = prior.with_neighbours(start | (self._p0 > 0.0))
+        if not start.any():
+            work |= self._steepest(gradient)
         pressure = self._p0
         for _ in range(rounds):
             self._restrict_to(np.flatnonzero(work))
@@ -511,9 +513,9 @@ class ContactProblem:
         root *= np.sqrt(self._measurements.weight)[:, None]
         return root, root
 
-    def _steepest(self, gradient: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """As many nodes with the steepest gradient as `start` has; others are added later."""
-        most = min(int(np.count_nonzero(start)) or _COLD_NODES, len(gradient) - 1)
+    def _steepest(self, gradient: np.ndarray) -> np.ndarray:
+        """The nodes with the steepest gradient; others are added later."""
+        most = min(_COLD_NODES, len(gradient) - 1)
         return gradient < min(0.0, np.partition(gradient, most)[most])
 
     def gradient(self, pressure: np.ndarray) -> np.ndarray:
