@@ -84,7 +84,9 @@ is a block mean beyond 4 σ, which a single pixel at 60 m can cause."""
 _MAX_WALK = 0.5
 """Largest motion of nodes, in mesh edges, since all rays were cast; beyond, they are cast again."""
 
-_OUTLIER_PIXELS = 4  # pixels checked for outliers per independent sample
+_OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
+"""Pixels checked for outliers per independent sample, and about how many of an image: with these a
+share of 1e-3 is determined to a fifth of it."""
 
 
 @dataclass(frozen=True)
@@ -160,9 +162,8 @@ class RangeObserver:
         self._squares = BlockSquares(self.block_number, self.columns)
         self._sample = self._used.of(self._whole_blocks())
         correlated = 1.0 if pixels is None else pixels.correlated_pixels
-        self._spread = self._used.of(
-            self._every_nth(max(1, int(np.sqrt(correlated / _OUTLIER_PIXELS))))
-        )
+        apart = max(1.0, correlated / _OUTLIER_PIXELS, len(self.pixel) / _MAX_OUTLIER_PIXELS)
+        self._spread = self._used.of(self._every_nth(int(np.sqrt(apart))))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = _scatter(gaussian)
