@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -26,7 +27,8 @@ IMAGES_EVERY_S = 0.15
 """Period at which images are updated during playback."""
 TARGET_WAIT_S = 0.004
 """Target time between a result and its drawing; above 0, so that the window never waits for it."""
-GAIN = 0.4  # of the integral control of the delay
+GAIN, WAITS = 0.4, 5
+"""Of the integral control of the delay, and the number of results whose shortest wait counts."""
 MAX_DELAY_S = 0.1  # longer delays are noticeable
 SAMPLED_FRAMES = 16
 """Frames of a recording solved in advance for its scales, while the solver is idle."""
@@ -36,14 +38,21 @@ a seek."""
 
 
 class RequestDelay:
-    """Delays requests while the window draws, as a frame taken too early is old when drawn."""
+    """Delays requests while the window draws, as a frame taken too early is old when drawn.
+
+    By the shortest of the last waits: longer ones are for the other sensor's picture, or another
+    process, and a delay would not shorten them.
+    """
 
     def __init__(self) -> None:
         self.delay_s = 0.0  # Between the last result and the next request
+        self._waits_s: deque[float] = deque(maxlen=WAITS)
 
     def update(self, seconds: float) -> None:
         """Adapt the delay to the time a result waited for the window."""
-        self.delay_s = min(max(self.delay_s + GAIN * (seconds - TARGET_WAIT_S), 0.0), MAX_DELAY_S)
+        self._waits_s.append(seconds)
+        too_long_s = min(self._waits_s) - TARGET_WAIT_S
+        self.delay_s = min(max(self.delay_s + GAIN * too_long_s, 0.0), MAX_DELAY_S)
 
 
 class SensorClient(QObject):
