@@ -495,12 +495,14 @@ class ContactProblem:
         return self._membrane.by_coordinates(self._measurements.jacobian)
 
     @cached_property
-    def _information(self) -> sparse.csr_array | None:
+    def _information(self) -> sparse.csc_array | None:
         """Dᵀ W D, (m, m); None where D has hardly more rows than that."""
         rows = self._rows
         if rows.shape[0] < 2 * rows.shape[1]:
             return None
-        return (rows.T @ sparse.diags_array(self._measurements.weight) @ rows).tocsr()
+        weighed = rows.copy()
+        weighed.data *= np.repeat(self._measurements.weight, np.diff(rows.indptr))
+        return rows.T @ weighed
 
     def _hessian_factors(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Two matrices (…, c) for motions S (m, c), the first of which times the second is SᵀDᵀWDS.
