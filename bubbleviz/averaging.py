@@ -30,7 +30,7 @@ _OUTLIER = 6.0
 
 _ONE_SIGMA = 0.683  # share of Gaussian noise within one standard deviation
 
-_STRIDE = 3  # that standard deviation is estimated from every third pixel of every third row
+_STRIDE = 8  # that standard deviation is estimated from every eighth pixel of every eighth row
 
 
 class _Seen(NamedTuple):
