@@ -54,6 +54,12 @@ def gone(pid):
     return False
 
 
+@pytest.mark.skipif(not hasattr(os, "getpriority"), reason="Unix only")
+def test_the_process_does_not_take_time_from_the_window(process):
+    window, solver = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, process.pid))
+    assert solver > window
+
+
 def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sensor, frames):
     here = Pipeline.of(load_sensor(sensor))
     here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)

@@ -110,3 +110,12 @@ def test_request_delay_adapts_to_the_waiting_time_of_results():
     for _ in range(40):
         delay.update(0.0)
     assert delay.delay_s == 0.0
+
+
+def test_results_that_wait_only_now_and_then_do_not_delay_requests():
+    """As beside a second camera, whose pictures take 30 ms."""
+    delay = RequestDelay()
+    for k in range(200):
+        delay.update(0.030 if k % 3 else 0.001)
+        assert delay.delay_s < 0.050  # while it knows no others
+    assert delay.delay_s == 0.0
