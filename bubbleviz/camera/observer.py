@@ -219,6 +219,8 @@ class RangeObserver:
         at_rest = self._caster.cast(mesh.nodes)
         self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
+        self._at_rest = np.full(self.blocks, -1)
+        self._at_rest[at_rest.ray] = at_rest.triangle
         # (B, 4), errors of the block ranges under a unit of each of `IMAGE_ERRORS`, 0 for blocks
         # that do not see the membrane at rest
         right, down, forward = camera.T_B_C[:3, :3].T @ rays.T
@@ -396,7 +398,7 @@ class RangeObserver:
             cast_at, hits = last.cast_at_m, self._caster.recast(nodes, last.hits)
         else:
             cast_at = nodes
-            hits = self._visible_at_rest(self._caster.cast(nodes))
+            hits = self._visible_at_rest(self._caster.cast(nodes, near=self._at_rest))
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
         slopes = self._caster.slopes(nodes, hits)

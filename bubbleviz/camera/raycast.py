@@ -87,9 +87,10 @@ class RayCaster:
         self,
         nodes: np.ndarray,  # (n, 3), current node positions in B, m
         rays: np.ndarray | None = None,  # (j,) int
+        near: np.ndarray | None = None,  # as of `first`
     ) -> Hits:
         """Nearest hit of every ray (or of those numbered by `rays`) on the mesh with `nodes`."""
-        return self.hits_on(nodes, self.first(nodes, rays), rays)
+        return self.hits_on(nodes, self.first(nodes, rays, near), rays)
 
     def hits_on(self, nodes: np.ndarray, first: np.ndarray, rays: np.ndarray | None = None) -> Hits:
         """As `cast`, if the triangle that each ray meets is known, as from `first`."""
