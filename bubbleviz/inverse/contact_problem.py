@@ -349,7 +349,7 @@ class ContactProblem:
             added = (gradient < -_GRADIENT_TOLERANCE * np.abs(self._linear).max()) & ~work
             if not (converged and added.any()):
                 break
-            work |= prior.with_neighbours(added)
+            work |= added
         return Selection(pressure > 0.0, pivots, converged, not added.any())
 
     def max_evidence(self, selection: Selection) -> Selection:
