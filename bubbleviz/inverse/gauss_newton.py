@@ -32,8 +32,8 @@ from bubbleviz.membrane import Gas, parts_with
 
 TANGENT_REUSE, LARGE_MOTION, MAX_STEP = 0.2, 0.5, 2.0
 """Motions of the nodes over the mesh edge. A tangent is used again within `TANGENT_REUSE` of the
-shape that it was computed at: the residual is always exact. A step is large beyond `LARGE_MOTION`,
-and no longer than `MAX_STEP`."""
+shape that it was computed at, and further away where steps are as long: the residual is always
+exact. A step is large beyond `LARGE_MOTION`, and no longer than `MAX_STEP`."""
 _MAX_EXCHANGE_NODES = 300
 """Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
 the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
@@ -248,7 +248,7 @@ class GaussNewton:
 
     def step(
         self,
-        last: Tangent | None,
+        tangent: Tangent,
         state: State,
         observed: LinearisedFrame,
         gas: float | None,
@@ -258,13 +258,12 @@ class GaussNewton:
         friction_scales: tuple[float, float] | None,
         near_contact: np.ndarray | None = None,
     ) -> Step | None:
-        """A step from a state, or None if its problem was not solved.
+        """A step from a state by a tangent, or None if its problem was not solved.
 
         Its support is selected in so many rounds, without the parts that contain none of the
         nodes (n,) bool near a known contact; errors of the whole image are fitted or zero, and
         friction is fitted where its scales are given.
         """
-        tangent = self._tangent_at(state, gas, last)
         measurements, friction = self._measurements(
             tangent, state, observed, gas, noise, friction_scales, fit_image=fit_image
         )
@@ -413,17 +412,21 @@ class GaussNewton:
         after = State(x, pressure, contact.support, inside, friction, image_errors)
         return after, balanced, tangent
 
-    def _tangent_at(self, state: State, gas: float | None, last: Tangent | None) -> Tangent:
-        """Tangent near a state: the last one where it is near enough."""
+    def tangent_at(
+        self, state: State, gas: float | None, last: Tangent | None = None, step_m: float = 0.0
+    ) -> Tangent:
+        """Tangent near a state: the last one where it is near enough.
+
+        That is within `TANGENT_REUSE`, or the length of the step that led to the state: the next
+        one then corrects what that step's own linearisation missed, which is of the same order.
+        """
         measured = gas is not None
         if state is self.rest:
             return self._rest_tangent[measured]
-        if (
-            last is not None
-            and last.with_gas is not measured
-            and float(np.abs(state.x - last.x).max()) <= self._reuse_m
-        ):
-            return last
+        if last is not None and last.with_gas is not measured:
+            away_m = float(np.abs(state.x - last.x).max())
+            if away_m <= max(step_m, self._reuse_m):
+                return last
         return self.bubble.linearised(state.x, state.pressure, state.gas if measured else None)
 
     def contradicts(self, shape_pa: float, measured_pa: float | None) -> bool:

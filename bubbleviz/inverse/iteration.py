@@ -184,7 +184,7 @@ class Iteration:
         )
         self._selecting, self._selections = True, 0
         self._steps = self._large_steps = self._stalled = self._settling = 0
-        self._best_misfit, self._large, self._solve_ms = np.inf, False, 0.0
+        self._best_misfit, self._motion_m, self._solve_ms = np.inf, 0.0, 0.0
 
     def solve(self) -> SolvedFrame | Status:
         """Solution of the frame, or why there is none.
@@ -212,7 +212,7 @@ class Iteration:
             rounds *= self._selecting and not no_contact
             fit_image = self._near and self._image_shows_rest
             step = newton.step(
-                self._tangent,
+                newton.tangent_at(self._state, data.gas_pa, self._tangent, self._motion_m),
                 self._state,
                 observed,
                 data.gas_pa,
@@ -238,6 +238,11 @@ class Iteration:
     def _noise_known(self) -> bool:
         """Whether the noise factor is more than a guess: only the steepest nodes count before."""
         return self._warm or bool(self._noises)
+
+    @property
+    def _large(self) -> bool:
+        """Whether the last step was large."""
+        return self._motion_m > self._large_m
 
     def _observe(self, *, by_flow: bool) -> LinearisedFrame:
         return self._newton.observe(self._data, self._state, self._view, by_flow)
@@ -273,7 +278,7 @@ class Iteration:
     def _take(self, step: Step, observed: LinearisedFrame) -> None:
         self._state, self._view, self._tangent = step.state, observed.view, step.last_tangent
         self._solve_ms += step.solve_ms
-        self._large = step.motion_m > self._large_m
+        self._motion_m = step.motion_m
         self._large_steps += self._selecting and self._large and step.motion_m < self._cut_m
 
     def _has_converged(
@@ -406,7 +411,10 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
     if _reject_image(newton, observed, newton.rest):
         return False
     fits = newton.fits_without_contact(observed, None)
-    step = newton.step(None, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits, None)
+    rest_tangent = newton.tangent_at(newton.rest, None)
+    step = newton.step(
+        rest_tangent, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits, None
+    )
     if step is None or not step.balanced:
         return False
     shows_rest = newton.shows_rest(observed, step.contact.pressure)
