@@ -41,7 +41,9 @@ def test_each_ray_finds_the_first_triangle_it_meets(shape):
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     expected, from_edge = nearest(nodes, triangles, origin, rays)
     clear = from_edge > 1e-4  # single precision may take either side of an edge
-    found = RayCaster(origin, rays, triangles).first(nodes)
     assert clear.sum() > 800
     assert (expected[clear] >= 0).any() and (expected[clear] < 0).any()
-    np.testing.assert_array_equal(found[clear], expected[clear])
+    caster = RayCaster(origin, rays, triangles)
+    for near in (None, caster.first(mesh.nodes)):  # anew, and from the triangles met at rest
+        found = caster.first(nodes, near=near)
+        np.testing.assert_array_equal(found[clear], expected[clear])
