@@ -177,6 +177,7 @@ class Iteration:
         self._friction_scales = start.friction_scales if self._warm else WIDEST
         self._near_contact: np.ndarray | None = None
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
+        self._settings: list[tuple[Noise, tuple[float, float]]] = []  # of converged solutions
         self._near = self._warm  # the errors of the linearisation are small
         self._following = self._observe(by_flow=True) if self._warm else None
         self._image_shows_rest = self._following is None or newton.shows_rest(
@@ -324,10 +325,10 @@ class Iteration:
             slides, spins = self._friction(step)
             known = noise_converged(updated, self._noise, self._noises, int(self._warm))
             known = known and slides.converged and spins.converged
-            if done and (known or len(self._noises) >= MAX_NOISES):
+            if done and (known or self._alternates() or len(self._noises) >= MAX_NOISES):
                 if self._all_significant(step.contact):
                     return True
-                self._noises = []
+                self._noises, self._settings = [], []
             self._friction_scales = slides.value, spins.value
             if done or first_guess:
                 self._noises.append(self._noise if done else Noise(np.inf, np.inf))
@@ -337,6 +338,13 @@ class Iteration:
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
+
+    def _alternates(self) -> bool:
+        """Whether noise factors and friction scales repeat for ever, and these are the largest."""
+        now = self._noise, self._friction_scales
+        repeated = self._settings[self._settings.index(now) :] if now in self._settings else []
+        self._settings.append(now)
+        return bool(repeated) and now == max(repeated)
 
     def _all_significant(self, contact: ContactPressure) -> bool:
         """Whether all parts of a contact are significant; others are left out from now on."""
