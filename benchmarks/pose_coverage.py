@@ -171,8 +171,8 @@ class _Bench:
         pipeline.restart()
         tracker = PoseTracker(pipeline.estimator, model.obj, start, membrane=pipeline.model.rubber)
         for k, truth in enumerate(truths):
-            ranges = noise.apply(truth.range_m, 1_000 * self._grid.seed + seed, k)
-            depth = pipeline.camera.depth_image(ranges).astype(np.float32)
+            own = 1_000 * self._grid.seed + seed
+            depth = noise.depth_image(pipeline.camera, truth.range_m, own, k)
             result = pipeline.process(
                 Frame(k, k / _RATE_HZ, depth), frozenset({"estimate", "patch"})
             )

@@ -32,8 +32,7 @@ def local_tension_image(found: Identification) -> np.ndarray:
     field = local_tension(found.mesh, found.material.gauge.value, scale)
     hits = found.model.view.hits(np.zeros(len(field)))
     image = np.full(found.pixels.mask.shape, np.nan)
-    at = field[found.mesh.triangles[hits.triangle]]
-    image.ravel()[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, at)
+    image.ravel()[hits.ray] = hits.values(field, found.mesh.triangles)
     return image
 
 

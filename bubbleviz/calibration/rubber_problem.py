@@ -551,8 +551,7 @@ def _view_parts(
         mesh = observer.mesh
         hits = observer.around(mesh.nodes).hits
         height = np.full(len(change_m), -np.inf)
-        corners = mesh.nodes[mesh.triangles[hits.triangle], 2]
-        height[hits.ray] = np.einsum("ij,ij->i", hits.barycentric, corners)
+        height[hits.ray] = hits.values(mesh.nodes[:, 2], mesh.triangles)
         return [np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)]
     row, column = np.divmod(observer.block_number, observer.columns)
     deepest = int(np.argmin(change_m))

@@ -47,6 +47,12 @@ class Hits:
         """Hits number `some` (j,)."""
         return Hits(*(getattr(self, field.name)[some] for field in fields(self)))
 
+    def values(self, field: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Nodal field (n, …) at the hits, (k, …), linear on the triangles (m, 3)."""
+        corners = field[triangles[self.triangle]]
+        values: np.ndarray = np.einsum("kc,kc...->k...", self.barycentric, corners)
+        return values
+
 
 class _Facets(NamedTuple):
     faces: np.ndarray  # (m, 3, 3), cross products of the corners, opposite each corner

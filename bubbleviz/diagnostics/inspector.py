@@ -66,8 +66,7 @@ def _ious(
 ) -> np.ndarray:
     """IoU of the pixels above each level, from one cast of all rays."""
     hits = view.hits(estimate.motion_m)
-    corners = estimate.contact_pressure_pa[view.mesh.triangles[hits.triangle]]
-    pressure = np.einsum("ij,ij->i", hits.barycentric, corners)
+    pressure = hits.values(estimate.contact_pressure_pa, view.mesh.triangles)
     in_patch = np.sort(pressure[truth.ravel()[hits.ray]])
     everywhere = np.sort(pressure)
     intersection = len(in_patch) - np.searchsorted(in_patch, levels, "right")

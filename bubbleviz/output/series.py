@@ -258,9 +258,8 @@ def nodal_at(
     Interpolated linearly; NaN where a ray misses. `pixels` are flat indices, ascending.
     """
     hits = view.hits(displacement_m, pixels)
-    corners = field[view.mesh.triangles[hits.triangle]]
     values = np.full(len(pixels), np.nan)
-    values[np.searchsorted(pixels, hits.ray)] = np.sum(hits.barycentric * corners, axis=1)
+    values[np.searchsorted(pixels, hits.ray)] = hits.values(field, view.mesh.triangles)
     return values
 
 

@@ -95,7 +95,7 @@ from .message_encoding import (
     ros2_types as ros2_types,
     serialise as serialise,
 )
-from .recorded_colour import ColourAround as ColourAround
+from .recorded_colour import ColourAround as ColourAround, half_step_ns as half_step_ns
 from .recording import (
     Recording as Recording,
     force_of as force_of,
@@ -122,6 +122,7 @@ from .time_series import (
     VALUES as VALUES,
     GrowingSeries as GrowingSeries,
     Moment as Moment,
+    Series as Series,
     StampClock as StampClock,
     Verdict as Verdict,
     values_at as values_at,

@@ -19,9 +19,9 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error, checked, read_npy, read_toml
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
-from bubbleviz.recordings.frame import Frame, check_index, usual_step
+from bubbleviz.recordings.frame import Frame, check_index
 from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, metres, project_points
-from bubbleviz.recordings.recorded_colour import ColourAround
+from bubbleviz.recordings.recorded_colour import ColourAround, half_step_ns
 from bubbleviz.recordings.time_series import Moment, Series, values_at
 from bubbleviz.sensor import Lens
 from bubbleviz.wording import count_of
@@ -121,8 +121,8 @@ class ImageFolder:
         moment = Moment(stamp_ns, stamp_ns)
         colour = None
         if self._colour is not None:
-            half_ns = round(0.5e9 * (usual_step(np.diff(self.times_s)) or 0.0))
-            colour = ColourAround(self._colour, moment, time_s, half_ns)
+            within_ns = half_step_ns(1e9 * self.times_s)
+            colour = ColourAround(self._colour, moment, time_s, within_ns)
         return Frame(
             index=index,
             time_s=time_s,

@@ -13,7 +13,13 @@ from bubbleviz.recordings.bag import Bag, Topic
 from bubbleviz.recordings.colour_topics import find_camera
 from bubbleviz.recordings.depth_topics import has_data
 from bubbleviz.recordings.frame import usual_step
-from bubbleviz.recordings.time_series import Moment, Series, recorded_series
+from bubbleviz.recordings.time_series import NEAREST_NS, Moment, Series, recorded_series
+
+
+def half_step_ns(stamps_ns: np.ndarray) -> int:
+    """Half the usual step of frames: colour images further from one belong to others."""
+    step = usual_step(np.diff(stamps_ns))
+    return NEAREST_NS if step is None else int(step) // 2
 
 
 @dataclass(frozen=True)

@@ -35,16 +35,15 @@ from bubbleviz.recordings.depth_topics import (
     has_data,
     metres_per_unit,
 )
-from bubbleviz.recordings.frame import Frame, FrameSource, check_index, usual_step
+from bubbleviz.recordings.frame import Frame, FrameSource, check_index
 from bubbleviz.recordings.message_decoding import (
     DEPTH_ENCODINGS,
     decode_cloud,
     decode_depth,
     encoding_of,
 )
-from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour
+from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour, half_step_ns
 from bubbleviz.recordings.time_series import (
-    NEAREST_NS,
     VALUES,
     Moment,
     Series,
@@ -198,7 +197,7 @@ class Recording:
         if self.colour is None:
             return None
         time_s = float(self.times_s[index])
-        find = ColourAround(self.colour.images, self._moment(index), time_s, self._half_period_ns)
+        find = ColourAround(self.colour.images, self._moment(index), time_s, self._half_step_ns)
         with self._lock, as_input_error(self.path, f"the colour image at {time_s + after_s:.3f} s"):
             return find(after_s)
 
@@ -206,8 +205,7 @@ class Recording:
         topic = find_colour(self.bag, self.depth_topic)
         if topic is None:
             return None
-        period = usual_step(np.diff(self.stamps_ns))
-        self._half_period_ns = NEAREST_NS if period is None else int(period) // 2
+        self._half_step_ns = half_step_ns(self.stamps_ns)
 
         def reading(read: Callable[[], EncodedImage]) -> EncodedImage:
             with self._lock, as_input_error(self.path, f"a colour image on {topic.name}"):

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import ndtri
 
+from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, changed
 from bubbleviz.sensor_model import SensorModel
@@ -60,6 +61,12 @@ class DepthNoise:
             noisy[blobs < ndtri(self.holes)] = np.nan
         noisy[noisy <= 0.0] = np.nan
         return noisy
+
+    def depth_image(
+        self, camera: DepthCamera, range_m: np.ndarray, seed: int, index: int
+    ) -> np.ndarray:
+        """The same as z-depth image of a camera, (H, W) float32, m."""
+        return camera.depth_image(self.apply(range_m, seed, index)).astype(np.float32)
 
     def _unit_field(self, shape: tuple[int, ...], seed: int, index: int) -> np.ndarray:
         """Normal noise of unit variance with the model's correlation in space and time."""

@@ -59,11 +59,10 @@ class InflatedSensor:
         """Frame number `index`; IndexError outside 0 … F−1."""
         if not 0 <= index < len(self):
             raise IndexError(f"frame {index} of {len(self)}")
-        depth = self.camera.depth_image(self.noise.apply(self._range_m, self.seed, index))
         return Frame(
             index=index,
             time_s=float(self.times_s[index]),
-            depth_m=depth.astype(np.float32),
+            depth_m=self.noise.depth_image(self.camera, self._range_m, self.seed, index),
             intrinsics=self.camera.intrinsics,
             gas_pressure_pa=None if self.pressures_pa is None else float(self.pressures_pa[index]),
         )

@@ -56,12 +56,10 @@ class PrintedMembrane:
         """Grey image (H, W), uint8, at a displacement as in `MembraneMesh.deformed`."""
         mesh = self._view.mesh
         hits = self._view.hits(displacement_m)
-        corners = mesh.triangles[hits.triangle]
-        at_rest = np.einsum("kj,kjx->kx", hits.barycentric, mesh.nodes[corners])
-        grey = self.grey(at_rest)
+        grey = self.grey(hits.values(mesh.nodes, mesh.triangles))
         if self._speckle.shaded:
             deformed = MembraneMesh(mesh.deformed(displacement_m), mesh.triangles, mesh.rim)
-            normals = np.einsum("kj,kjx->kx", hits.barycentric, deformed.normals[corners])
+            normals = hits.values(deformed.normals, mesh.triangles)
             rays = self._view.camera.directions[hits.ray]
             facing = np.einsum("kx,kx->k", normals, rays) / np.linalg.norm(normals, axis=1)
             grey *= 0.5 + 0.5 * np.clip(facing, 0.0, 1.0)

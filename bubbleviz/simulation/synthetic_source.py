@@ -24,7 +24,14 @@ from bubbleviz.membrane import (
     checked_friction,
     refine,
 )
-from bubbleviz.recordings import Frame, FrameSource, usual_step
+from bubbleviz.recordings import (
+    ColourAround,
+    Frame,
+    FrameSource,
+    Moment,
+    Series,
+    half_step_ns,
+)
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
@@ -210,14 +217,13 @@ class SyntheticSource:
         """Frame number `index`; IndexError outside 0 … F−1, SolveError without equilibrium."""
         contact = self.contact(index)
         ranges = self._view.range_image(contact.displacement_3d_m)
-        depth = self.camera.depth_image(self.noise.apply(ranges, self.seed, index))
         return Frame(
             index=index,
             time_s=float(self.times_s[index]),
-            depth_m=depth.astype(np.float32),
+            depth_m=self.noise.depth_image(self.camera, ranges, self.seed, index),
             intrinsics=self.camera.intrinsics,
             gas_pressure_pa=self._gas.P0 + contact.gas_pressure_change_pa,
-            find_colour=None if self._printed is None else partial(self._find_colour, index),
+            find_colour=None if self._printed is None else self._colour_around(index),
         )
 
     def close(self) -> None:
@@ -235,16 +241,16 @@ class SyntheticSource:
         """Ground truth of frame `index`."""
         return Truth.of(self.contact(index), self._view)
 
-    def _find_colour(self, index: int, after_s: float) -> ColourImage | None:
-        """Image of the frame nearest to `after_s` after another, within half a period."""
-        wanted_s = self.times_s[index] + after_s
-        nearest = int(np.abs(self.times_s - wanted_s).argmin())
-        period_s = usual_step(np.diff(self.times_s)) or np.inf
-        if abs(self.times_s[nearest] - wanted_s) > 0.5 * period_s:
-            return None
-        camera = ColourCamera(self.camera.intrinsics)
-        time_s = float(self.times_s[nearest])
-        return ColourImage(partial(self._image, nearest), round(1e9 * time_s), time_s, camera)
+    def _colour_around(self, index: int) -> ColourAround:
+        """Finds the image nearest to a time after a frame."""
+        stamps_ns = np.rint(1e9 * self.times_s).astype(np.int64)
+        images = Series(stamps_ns, self._colour_image)
+        moment = Moment(int(stamps_ns[index]), int(stamps_ns[index]))
+        return ColourAround(images, moment, float(self.times_s[index]), half_step_ns(stamps_ns))
+
+    def _colour_image(self, index: int) -> ColourImage:
+        camera, stamp_ns = ColourCamera(self.camera.intrinsics), round(1e9 * self.times_s[index])
+        return ColourImage(partial(self._image, index), stamp_ns, camera=camera)
 
     def _image(self, index: int) -> EncodedImage:
         assert self._printed is not None
@@ -356,10 +362,8 @@ class NoisyLoop:
         frame = self._source[index]
         self._round += index < self._last
         self._last = index
-        ranges = self._noise.apply(
-            self._camera.range_image(frame.depth_m).astype(float), self._round, index
-        )
-        depth = self._camera.depth_image(ranges).astype(np.float32)
+        ranges = self._camera.range_image(frame.depth_m).astype(float)
+        depth = self._noise.depth_image(self._camera, ranges, self._round, index)
         return replace(frame, depth_m=depth)
 
     def truth(self, index: int) -> Truth | None:

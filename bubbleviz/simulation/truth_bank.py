@@ -75,8 +75,8 @@ class TruthBank:
         gas_pressure_pa: float | None = None,
     ) -> Frame:
         """Frame of ranges (H, W), m, with noise."""
-        noisy = noise.apply(range_m, self.seed, index)
-        depth = np.ascontiguousarray(self.camera.depth_image(noisy)[::stride, ::stride], np.float32)
+        depth = noise.depth_image(self.camera, range_m, self.seed, index)[::stride, ::stride]
+        depth = np.ascontiguousarray(depth)
         return Frame(index, index / 30.0, depth, gas_pressure_pa=gas_pressure_pa)
 
     def frames_at_rest(

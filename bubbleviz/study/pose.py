@@ -250,8 +250,7 @@ class _Bench:
         noise = DepthNoise(relative=grid.noise_relative)
         times = []
         for k in range(FRAMES):
-            ranges = noise.apply(simulated.range_m, grid.seed + number, k)
-            depth = camera.depth_image(ranges).astype(np.float32)
+            depth = noise.depth_image(camera, simulated.range_m, grid.seed + number, k)
             result = self._pipeline.process(Frame(k, k / 30.0, depth), frozenset({"pose"}))
             times.append(result.times_ms.get("pose", np.nan))
         pose = result.pose

@@ -62,8 +62,8 @@ class Dome:
         return len(self.times_s)
 
     def __getitem__(self, k):
-        depth = self.camera.depth_image(self.noise.apply(self.rest, self.seed, k))
-        return Frame(k, self.times_s[k], depth.astype(np.float32), self.camera.intrinsics)
+        depth = self.noise.depth_image(self.camera, self.rest, self.seed, k)
+        return Frame(k, self.times_s[k], depth, self.camera.intrinsics)
 
     def close(self):
         pass

@@ -30,7 +30,6 @@ def sighting(
     """Depth with noise, and the flow at the centre of every block with white noise."""
     view, intrinsics = MembraneView(camera, truth.mesh), camera.intrinsics
     range_m = view.range_image(truth.displacement_m)
-    noisy = depth_noise.apply(range_m, seed, 0)
     row, column = np.divmod(np.arange(range_m.size), intrinsics.width)
     middle = BLOCK_PX // 2
     chosen = (row % BLOCK_PX == middle) & (column % BLOCK_PX == middle)
@@ -47,5 +46,5 @@ def sighting(
     moved = places - np.stack([column[hits.ray], row[hits.ray]], axis=1)
     moved += flow_sigma_px * np.random.default_rng([seed, 5]).standard_normal(moved.shape)
     sigma = np.full(int(np.count_nonzero(seen)), flow_sigma_px)
-    depth = camera.depth_image(noisy).astype(np.float32)
+    depth = depth_noise.depth_image(camera, range_m, seed, 0)
     return FlowSighting(depth, FlowField(hits.ray[seen], moved[seen], sigma, depth.shape))

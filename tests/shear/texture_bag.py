@@ -36,7 +36,7 @@ def image(k):
     """Depth, m, and grey image of a frame."""
     share = float(np.clip((k - TOUCHED + 1) / (HELD - TOUCHED), 0.0, 1.0))
     ranges, grey = clean(share)
-    depth = view().camera.depth_image(NOISE.apply(ranges, 0, k)).astype(np.float32)
+    depth = NOISE.depth_image(view().camera, ranges, 0, k)
     noise = np.random.default_rng(k).normal(0.0, Speckle().noise, grey.shape)
     return depth, np.clip(np.rint(grey + noise), 0, 255).astype(np.uint8)
 
