@@ -32,6 +32,11 @@ def rounded(number: float, decimals: int) -> str:
     return f"{round(number, decimals) + 0.0:.{max(decimals, 0)}f}"
 
 
+def reason_of(error: BaseException, most: int | None = None) -> str:
+    """Message of an exception in one line of at most so many letters; its class if it has none."""
+    return " ".join(str(error).split())[:most] or type(error).__name__
+
+
 def how_to_install(extra: str) -> str:
     """Command that installs an optional extra, from this checkout or from a package index."""
     checkout = Path(__file__).parents[1]

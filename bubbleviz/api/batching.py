@@ -37,6 +37,7 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, checked_sensor
 from bubbleviz.result import TRUSTED
 from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.wording import reason_of
 
 RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
 """Files in the result folder of a recording."""
@@ -307,11 +308,11 @@ def run_job(job: Job) -> BatchRow:
     try:
         return _run(job)
     except InputError as error:
-        return BatchRow(job.name, "bad_input", error=_sentence(error))
+        return BatchRow(job.name, "bad_input", error=reason_of(error))
     except SolveError as error:
-        return BatchRow(job.name, "failed", error=_sentence(error))
+        return BatchRow(job.name, "failed", error=reason_of(error))
     except Exception as error:  # must not stop the other jobs
-        return BatchRow(job.name, "failed", error=f"{type(error).__name__}: {_sentence(error)}")
+        return BatchRow(job.name, "failed", error=f"{type(error).__name__}: {reason_of(error)}")
 
 
 def run_in_processes(jobs: Sequence[Job], processes: int) -> Generator[BatchRow]:
@@ -350,10 +351,9 @@ def _run(job: Job) -> BatchRow:
     out = Path(job.out)
     topic = job.options.get("depth_topic")
     sensor_name, sensor = checked_sensor(job.recording, job.sensor, topic)
-    named = [sensor.membrane.mesh_file, sensor.calibration and sensor.calibration.pixels_file]
-    files = [Path(job.recording), *(sensor.resolve(file) for file in named if file)]
     inputs = {**job.options, "sensor": sensor_to_toml(sensor), "version": bubbleviz.__version__}
-    parts = [*map(file_hash, files), json.dumps(inputs, sort_keys=True)]
+    files = (path for path in sensor.files if path.name != sensor.file)  # that is in the inputs
+    parts = [*map(file_hash, (Path(job.recording), *files)), json.dumps(inputs, sort_keys=True)]
     key = sha256("\n".join(parts).encode()).hexdigest()
     kept = _finished(out, key) if job.keep else None
     if kept is not None:
@@ -461,7 +461,3 @@ def _mean(values: Sequence[Any] | np.ndarray) -> float:
 
 def _number(value: float, unit: str = "") -> str:
     return f"{value:.3g}{unit}" if math.isfinite(value) else "–"
-
-
-def _sentence(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
@@ -105,11 +107,16 @@ def convert(
     refuse_input(out, source)
     source = Path(source)
     progress("opening", 0.0)
-    files = intrinsics, times, gas_pressure, wrench
+    files = {
+        "intrinsics": intrinsics,
+        "times_s": times,
+        "gas_pressure": gas_pressure,
+        "wrench": wrench,
+    }
     if is_image_folder(source):
-        images = _images_of(source, *files, rate_hz, metres_per_unit)
+        images = _images_of(source, files, rate_hz, metres_per_unit)
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
-    if any(option is not None for option in (*files, rate_hz, metres_per_unit)):
+    if any(option is not None for option in (*files.values(), rate_hz, metres_per_unit)):
         raise InputError(
             f"{source}: not a folder of depth images, and only these take --intrinsics, --rate, "
             "--times, --metres-per-unit, --gas-pressure and --wrench; correct the path, or leave "
@@ -120,28 +127,28 @@ def convert(
         return _written(recording, out, progress, whole_millimetres, overwrite=overwrite)
 
 
+_READERS: dict[str, Callable[[str | Path], Any]] = {
+    "intrinsics": read_intrinsics,
+    "times_s": read_times,
+    "gas_pressure": read_gas_pressure,
+    "wrench": read_wrench,
+}
+"""Of the files that `ImageFolder` takes the content of."""
+
+
 def _images_of(
     folder: Path,
-    intrinsics: str | Path | None,
-    times: str | Path | None,
-    gas_pressure: str | Path | None,
-    wrench: str | Path | None,
+    files: dict[str, str | Path | None],  # as of `_READERS`
     rate_hz: float | None,
     metres_per_unit: float | None,
 ) -> ImageFolder:
-    if rate_hz is not None and times is not None:
+    if rate_hz is not None and files["times_s"] is not None:
         raise InputError(f"{folder}: give either --rate or --times, not both")
-    camera = intrinsics or _existing(folder, *INTRINSICS)
-    times = times or (None if rate_hz else _existing(folder, "times.csv"))
-    return ImageFolder(
-        folder,
-        intrinsics=None if camera is None else read_intrinsics(camera),
-        times_s=None if times is None else read_times(times),
-        rate_hz=rate_hz,
-        metres_per_unit=metres_per_unit,
-        gas_pressure=None if gas_pressure is None else read_gas_pressure(gas_pressure),
-        wrench=None if wrench is None else read_wrench(wrench),
-    )
+    own = {"intrinsics": _existing(folder, *INTRINSICS)}
+    own["times_s"] = None if rate_hz else _existing(folder, "times.csv")
+    given = {name: file or own.get(name) for name, file in files.items()}
+    read = {name: _READERS[name](file) for name, file in given.items() if file is not None}
+    return ImageFolder(folder, rate_hz=rate_hz, metres_per_unit=metres_per_unit, **read)
 
 
 def _written(

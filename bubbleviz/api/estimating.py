@@ -183,7 +183,7 @@ def estimate(
         texture, products = None, _PRODUCTS
         if shear:
             texture, products = watch_texture(chosen, pipeline), products | SHEAR
-        zeros, run = _new_run(chosen, name, pipeline, out, **solving)
+        zeros, run = _new_run(chosen, name, pipeline, solver, zero_gas, out)
         run.context |= {
             "solver": run.provenance["solver"],
             "kappa": kappa,
@@ -306,7 +306,7 @@ def track(
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
         refuse_input(out, *pipeline.model.sensor.files)
         pipeline.track(obj, initial_pose)
-        zeros, run = _new_run(chosen, name, pipeline, out, **solving)
+        zeros, run = _new_run(chosen, name, pipeline, solver, zero_gas, out)
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zeros=zeros)
@@ -401,11 +401,9 @@ def _new_run(
     frames: Frames,
     sensor_name: str,
     pipeline: Pipeline,
-    out: str | Path | None,
-    *,
     solver: str | None,
-    friction: float | None,
     zero_gas: bool,
+    out: str | Path | None,
 ) -> tuple[Zeros, Run]:
     """Zeros of the recording, and a run with context and provenance but no frames yet."""
     zeros = zeros_of(frames.source, pipeline)

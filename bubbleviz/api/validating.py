@@ -164,18 +164,16 @@ def validate(
     >>> found.gain.value, found.gain.half_width
     """
     check_out(out, path_of(frames), overwrite=overwrite)
+    options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if isinstance(frames, str | Path):
         with open(frames, wrench_topic=wrench) as opened:
-            return validate(
-                opened, sensor, solver=solver, friction=friction, zero_gas=zero_gas, out=out,
-                overwrite=overwrite, progress=progress,
-            )  # fmt: skip
-    if wrench is not None:
+            run = estimate(opened, sensor, progress=progress, **options)
+    elif wrench is not None:
         raise InputError(
             f"wrench {wrench}: the recording is open already; give wrench_topic to bv.open instead"
         )
-    options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
-    run = estimate(frames, sensor, progress=progress, **options)
+    else:
+        run = estimate(frames, sensor, progress=progress, **options)
     measured = np.array([row["wrench_n"] for row in run.rows()])
     name = run.context["recording"]
     if not np.isfinite(measured).any():

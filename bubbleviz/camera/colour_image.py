@@ -13,6 +13,7 @@ from PIL import Image, UnidentifiedImageError
 
 from bubbleviz.camera.intrinsics import Intrinsics
 from bubbleviz.errors import InputError
+from bubbleviz.wording import reason_of
 
 RAW_ENCODINGS = {"rgb8": "RGB", "bgr8": "BGR", "rgba8": "RGBX", "bgra8": "BGRX", "mono8": "L"}
 """Encodings of a `sensor_msgs/Image` in colour or grey, as Pillow calls their layout."""
@@ -132,7 +133,7 @@ class ColourImage:
         try:
             return encoded.pixels(mode)
         except (ValueError, OSError, SyntaxError) as error:  # Pillow raises all of them
-            why = " ".join(str(error).split())[:160]
+            why = reason_of(error, 160)
             raise InputError(
                 f"colour image at {self.time_s:.3f} s: cannot be decoded ({why}); record raw, JPEG "
                 "or PNG images of 8 bits a channel"

@@ -14,6 +14,7 @@ from typing import IO, Any
 import numpy as np
 
 from bubbleviz.errors import InputError
+from bubbleviz.wording import reason_of
 
 MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 pixels
 
@@ -32,7 +33,7 @@ def as_input_error(
     except ModuleNotFoundError:
         raise  # the command line says how to install it
     except Exception as error:
-        reason = " ".join(str(error).split()).rstrip(".")[:200] or type(error).__name__
+        reason = reason_of(error, 200).rstrip(".")
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read
             reason = "a size in it is damaged, or too little memory is free"
         if isinstance(error, KeyError):

@@ -41,6 +41,7 @@ from bubbleviz.recordings import (
     size_of,
     values_at,
 )
+from bubbleviz.wording import reason_of
 
 KEPT_NS = round(1e9 * MAX_COLOUR_DELAY_S) + NEAREST_NS
 """How long colour images are kept: the longest delay, and the time a frame waits."""
@@ -225,7 +226,7 @@ class FrameAssembler:
             self._note(message, str(error))
         except Exception as error:  # garbage may be wrong in any way
             self.counters.undecodable += 1
-            self._note(message, " ".join(str(error).split())[:120] or type(error).__name__)
+            self._note(message, reason_of(error, 120))
         return self._released(message.arrival_ns)
 
     def flush(self, now_ns: int | None = None) -> list[Frame]:

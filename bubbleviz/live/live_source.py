@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from bubbleviz.errors import InputError
 from bubbleviz.plugins import plugin
 from bubbleviz.recordings import Encoding, Message
+from bubbleviz.wording import reason_of
 
 Link = Literal["connecting", "up", "lost", "ended"]
 """`lost`: it was up; the source reconnects automatically."""
@@ -81,7 +82,7 @@ class LiveSource:
         try:
             self._run(deliver)
         except BaseException as error:  # shown by the users of the source
-            self.problem = " ".join(str(error).split()) or type(error).__name__
+            self.problem = reason_of(error)
         finally:
             self.link = "ended"
 

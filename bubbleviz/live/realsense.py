@@ -16,7 +16,7 @@ from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic, SourceUri
 from bubbleviz.recordings import IMAGE, Frame, FrameMessages, Message, distortion_of, ros2_types
-from bubbleviz.wording import how_to_install
+from bubbleviz.wording import how_to_install, reason_of
 
 FILES = (".bag", ".db3")
 """Formats of the SDK's recordings: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
@@ -63,7 +63,7 @@ class RealSenseLive(LiveSource):
             except RuntimeError as error:  # the SDK raises nothing else
                 camera = "reconnect the camera, or close other programs that use it"
                 remedy = camera if self._file is None else "choose another file"
-                self.problem = f"{' '.join(str(error).split())[:160]}; {remedy}"
+                self.problem = f"{reason_of(error, 160)}; {remedy}"
             if again or (self._file is not None and self._loop and not self.problem):
                 played += 1
                 continue

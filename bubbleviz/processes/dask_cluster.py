@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from bubbleviz.errors import InputError
-from bubbleviz.wording import how_to_install
+from bubbleviz.wording import how_to_install, reason_of
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -42,8 +42,7 @@ def run_on_cluster(
                 if error is None:
                     yield item, future.result(), ""
                 else:
-                    reason = " ".join(str(error).split())[:300]
-                    yield item, None, f"{type(error).__name__}: {reason}"
+                    yield item, None, f"{type(error).__name__}: {reason_of(error, 300)}"
         except (CancelledError, OSError) as error:
             raise _lost(address) from error
         finally:
