@@ -43,27 +43,27 @@ class Gas:
         """The same gas behind another mesh of the same facets."""
         return replace(self, dV_du=self.dV_du.sum() / mesh.areas.sum() * mesh.areas)
 
-    def at(self, growth_m3: float, give: float = 0.0) -> tuple[float, float]:
+    def at(self, growth_m3: float, compliance: float = 0.0) -> tuple[float, float]:
         """p_v, Pa, and −dp_v/dV, Pa/m³, at a volume change; inf for a volume of 0 or less.
 
-        `give` is the compliance c, m³/Pa, of another volume: p_v then is the upper root of
+        With the compliance c, m³/Pa, of another volume p_v is the upper root of
         (P0 + p_v)(V + c p_v) = P0 V0.
         """
-        volume = self.V0 + growth_m3
-        if give == 0.0:
+        c, volume = compliance, self.V0 + growth_m3
+        if c == 0.0:
             if not volume > 0.0:
                 return np.inf, np.inf
             pressure = self.P0 * self.V0 / volume
             return pressure - self.P0, pressure / volume
-        both = volume + give * self.P0
-        root = np.hypot(volume - give * self.P0, 2.0 * np.sqrt(give * self.P0 * self.V0))
+        both = volume + c * self.P0
+        root = np.hypot(volume - c * self.P0, 2.0 * np.sqrt(c * self.P0 * self.V0))
         # Two forms of one root: the one without cancellation.
         if both > 0.0:
             change = 2.0 * self.P0 * (self.V0 - volume) / (both + root)
         else:
-            change = (root - both) / (2.0 * give)
-        beta = (self.P0 + change) / (volume + give * change)
-        return change, beta / (1.0 + beta * give)
+            change = (root - both) / (2.0 * c)
+        beta = (self.P0 + change) / (volume + c * change)
+        return change, beta / (1.0 + beta * c)
 
     def energy(self, growth_m3: float) -> float:
         """Work −∫ p_v dV done on the gas, J; inf for a volume of 0 or less."""
@@ -93,7 +93,7 @@ class HeldPressure:
 
     change_pa: float  # p_v
 
-    def at(self, growth_m3: float, give: float = 0.0) -> tuple[float, float]:
+    def at(self, growth_m3: float, compliance: float = 0.0) -> tuple[float, float]:
         """p_v and −dp_v/dV, as of `Gas`."""
         return self.change_pa, 0.0
 

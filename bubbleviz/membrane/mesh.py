@@ -45,10 +45,7 @@ class MembraneMesh:
     def normals(self) -> np.ndarray:
         """Area-weighted unit node normals n̂0, outward, shape (n, 3)."""
         vectors = np.repeat(self.facet_vectors, 3, axis=0)
-        flat = self.triangles.ravel()
-        sums = np.stack(
-            [np.bincount(flat, vectors[:, k], minlength=len(self.nodes)) for k in range(3)], axis=1
-        )
+        sums = sums_at(self.triangles.ravel(), vectors, len(self.nodes))
         return sums / np.linalg.norm(sums, axis=1, keepdims=True)
 
     @cached_property
@@ -102,8 +99,7 @@ class MembraneMesh:
     @cached_property
     def rim_lengths(self) -> np.ndarray:
         """Length of the rim represented by each node, shape (n,), m; 0 off the rim."""
-        triangle, corner = np.nonzero(triangles_across(self.triangles) < 0)
-        start, end = (self.triangles[triangle, (corner + k) % 3] for k in (1, 2))
+        start, end = open_sides(self.triangles)
         half = 0.5 * np.linalg.norm(self.nodes[start] - self.nodes[end], axis=1)
         count = len(self.nodes)
         return np.bincount(start, half, minlength=count) + np.bincount(end, half, minlength=count)
@@ -140,6 +136,17 @@ def triangles_across(triangles: np.ndarray) -> np.ndarray:
     found = order[there]
     across = np.where(key[found] == end * n + start, found // 3, -1)
     return across.reshape(-1, 3)
+
+
+def open_sides(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Start and end (k,) of each side that only one of triangles (m, 3) has, in its direction."""
+    triangle, corner = np.nonzero(triangles_across(triangles) < 0)
+    return triangles[triangle, (corner + 1) % 3], triangles[triangle, (corner + 2) % 3]
+
+
+def sums_at(nodes: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
+    """Sums (count, d) at nodes of values (k, d), each given with the number (k,) of its node."""
+    return np.stack([np.bincount(nodes, each, minlength=count) for each in values.T], axis=1)
 
 
 def faces_from(local: np.ndarray, triangles: np.ndarray) -> np.ndarray:

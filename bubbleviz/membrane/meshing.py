@@ -14,7 +14,7 @@ from scipy.spatial import Delaunay
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import read_triangles
-from bubbleviz.membrane.mesh import MembraneMesh, area_vectors, triangles_across
+from bubbleviz.membrane.mesh import MembraneMesh, area_vectors, open_sides, sums_at
 
 # Mesh improvement on a surface: edge flips and tangential smoothing.
 
@@ -50,10 +50,7 @@ def smooth(
         moment = area[:, None] * corners.mean(axis=1)
         flat = triangles.ravel()
         weight = np.bincount(flat, np.repeat(area, 3), minlength=len(nodes))
-        centroid = np.stack(
-            [np.bincount(flat, np.repeat(moment[:, k], 3), minlength=len(nodes)) for k in range(3)],
-            axis=1,
-        )
+        centroid = sums_at(flat, np.repeat(moment, 3, axis=0), len(nodes))
         nodes[free] = project(centroid[free] / weight[free, None])
         triangles = lawson_flips(nodes, triangles)
     return nodes, triangles
@@ -295,9 +292,8 @@ def refined_part(mesh: MembraneMesh, inside: np.ndarray, chosen: np.ndarray) -> 
     """
     triangles = np.flatnonzero(inside)
     nodes, part = part_of(mesh, triangles)
-    triangle, corner = np.nonzero(triangles_across(part.triangles) < 0)
-    part.rim[part.triangles[triangle, (corner + 1) % 3]] = True
-    part.rim[part.triangles[triangle, (corner + 2) % 3]] = True
+    for ends in open_sides(part.triangles):
+        part.rim[ends] = True
     finer = refinement(part, chosen[triangles])
     return Refined(finer.mesh, nodes[finer.ends], triangles[finer.parent])
 

@@ -1,8 +1,8 @@
 """The stress of an inflated membrane from its shape and pressure, and its stress-free triangles.
 
 Stress in a membrane has three components and its balance three equations, so that shape and gauge
-pressure determine it, but for fields that are in balance by themselves and pull on the rim alone;
-of those the least is taken. With the metric g of the surface over its map to the unit disc,
+pressure determine it, except for fields that balance themselves and pull only on the rim. Of these
+the smallest is chosen. With the metric g of the surface over its map to the unit disc,
 
     T = g^(−1/2) S g^(−1/2),   S = γ (I + Σ z_k D_k)
 
@@ -19,8 +19,8 @@ from scipy.sparse.linalg import splu
 from scipy.special import eval_jacobi
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh, triangles_across
-from bubbleviz.membrane.rubber import FAR_STRETCHED, RubberMembrane, edges_of
+from bubbleviz.membrane.mesh import MembraneMesh, open_sides
+from bubbleviz.membrane.rubber import FAR_STRETCHED, FROM_EDGES, RubberMembrane, edges_of
 from bubbleviz.membrane.stiffness import cotangent_laplacian, mean_curvature
 
 # The harmonic map of a membrane to the unit disc, and orthogonal polynomials there.
@@ -56,10 +56,9 @@ def disc_map(mesh: MembraneMesh) -> np.ndarray:
 
 def _rim_loop(mesh: MembraneMesh) -> np.ndarray:
     """Nodes of the open boundary in their order, counter-clockwise seen from outside."""
-    triangle, corner = np.nonzero(triangles_across(mesh.triangles) < 0)
-    starts = mesh.triangles[triangle, (corner + 1) % 3]
+    starts, ends = open_sides(mesh.triangles)
     after = np.full(len(mesh.nodes), -1)
-    after[starts] = mesh.triangles[triangle, (corner + 2) % 3]
+    after[starts] = ends
     loop = [int(starts[0])]
     while after[loop[-1]] != loop[0]:
         loop.append(int(after[loop[-1]]))
@@ -89,8 +88,6 @@ _RIDGE = 1e-3
 """Weight of the mean square of Σ z_k D_k against that of the unbalanced load over the load: lies
 between the squared singular values of what is determined, above 1e-2, and the others, below 1e-4.
 """
-_FROM_EDGES = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
-"""Derivatives of the shape functions along the edges from corner 0."""
 _SYMMETRIC = np.array(
     [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]]
 )
@@ -113,8 +110,8 @@ class Prestress:
     ) -> Prestress:
         """Field that balances the pressure by least squares.
 
-        Its virtual work with the load is none for all smooth displacements that spare the rim:
-        facets pull at single nodes by some hundredths of the load, which cancels in those.
+        Stress and load together do no virtual work in smooth displacements that are 0 on the rim.
+        (At single nodes facets leave some hundredths of the load, which cancel in smooth ones.)
 
         Raises InputError: the surface is flat or concave, so that no tension holds a pressure, or
         the mesh has fewer nodes than the field has unknowns.
@@ -129,7 +126,7 @@ class Prestress:
         unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc, degree)
         moved = _virtual_displacements(mesh, disc, degree)[mesh.triangles]  # (m, 3, q)
         load = curvature * np.einsum("tx,tcq->xq", mesh.facet_vectors / 3.0, moved)
-        pull = mesh.facet_areas[:, None, None] * (_FROM_EDGES.T @ unit @ edges_of(mesh))
+        pull = mesh.facet_areas[:, None, None] * (FROM_EDGES.T @ unit @ edges_of(mesh))
         work = np.stack(
             [
                 np.einsum("tcx,tcq->txq", each, moved).reshape(len(each), -1).T @ polynomials

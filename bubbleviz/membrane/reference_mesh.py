@@ -109,11 +109,11 @@ def varied_rubber(
 ) -> list[RubberMembrane]:
     """Copies of the membrane, each with one of γ0, gauge pressure and λ raised by its σ.
 
-    Of those whose 95 % interval the sensor's calibration gives, and of the gauge pressure whose
-    standard deviation the sensor file gives; parameters as of `build_rubber`.
-    Stress at rest follows from shape and gauge pressure, whatever the material.
-    γ0 follows the gauge pressure, from which Young–Laplace has it: of its own deviation only that
-    counts which the gauge pressure does not explain.
+    Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
+    also by its standard deviation in the sensor file. Parameters as of `build_rubber`.
+    Stress at rest follows from shape and gauge pressure, whatever the material. γ0 is proportional
+    to the gauge pressure (Young–Laplace), so its own copy is raised only by the part of its σ that
+    the gauge pressure does not explain.
     """
     pneumatics, varied = sensor.pneumatics, []
     tension, gauge, stretch = _deviations(sensor, tension_n_per_m)
@@ -134,8 +134,8 @@ def varied_rubber(
 def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
     """Relative standard deviation of the stiffness of a sensor as a membrane of constant tension.
 
-    Of γ0 by shape and gauge pressure, and of a calibrated sensor, which is rubber, that by which
-    rubber differs from constant tension.
+    From the errors of γ0 and of the gauge pressure and, if the sensor is calibrated and thus
+    rubber, from the difference between rubber and constant tension.
     """
     tension, gauge, _ = _deviations(sensor, tension_n_per_m)
     rubber = 0.0 if sensor.calibration is None else _CONSTANT_TENSION_ERROR

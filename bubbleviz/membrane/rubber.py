@@ -26,6 +26,9 @@ from bubbleviz.membrane.mesh import MembraneMesh
 FAR_STRETCHED = 1e3
 """λ in place of infinity: 1/det C is then below rounding, and only the springs remain."""
 
+FROM_EDGES = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
+"""Derivatives of the shape functions of the corners along the edges from corner 0."""
+
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 _TURNS = ((1, 1.0), (2, -1.0), (4, 1.0))
 """Pairs of different corners, and whether the second follows the first."""
@@ -259,7 +262,7 @@ class RubberMembrane:
 
     @cached_property
     def _constant(self) -> np.ndarray:
-        """What of the tangent's data no motion changes: the springs."""
+        """The part of the tangent's data that does not depend on positions: the springs."""
         springs = (self._springs + sparse.diags_array(self.rim_springs)).tocsr()
         indices, indptr = self._assembly.indices, self._assembly.indptr
         columns = np.repeat(np.arange(len(indptr) - 1), np.diff(indptr))
@@ -287,8 +290,7 @@ class RubberMembrane:
 
     def _spring_matrix(self) -> sparse.csr_array:
         """L₀ (n, n), N/m: μh times the cotangent Laplacian of the stress-free triangles."""
-        from_edges = np.array([[-1.0, 1.0, 0.0], [-1.0, 0.0, 1.0]])
-        element = np.einsum("ia,tij,jb->tab", from_edges, self.inverse, from_edges)
+        element = np.einsum("ia,tij,jb->tab", FROM_EDGES, self.inverse, FROM_EDGES)
         element *= (self.mu_h * self.stress_free_area)[:, None, None]
         t = self.mesh.triangles
         rows, columns = np.repeat(t, 3, axis=1).ravel(), np.tile(t, (1, 3)).ravel()

@@ -38,8 +38,8 @@ def symmetric_lu(
 class Factoriser:
     """Factorises matrices of one symmetric pattern of 3×3 blocks (one a node).
 
-    Finding the order for the nodes, and not for each of their rows, and only once leaves a third
-    of the time that `splu` takes with its own (COLAMD).
+    The order is found once, and for nodes instead of single rows, which takes a third of the time
+    of `splu` with its own order (COLAMD).
 
     Parameters
     ----------
@@ -240,8 +240,8 @@ class NodeBlocks:
     ) -> np.ndarray:
         """Data of Q K P + s (I − P): K where some nodes only move across their normals.
 
-        P takes from a node's motion the part along its normal, or all of it where it is stuck, and
-        Q the same from its force, to which it adds as much of the drag.
+        P removes from a node's motion the part along its normal, or all of it if it sticks. Q
+        removes the same from its force, and adds the friction `drag` times the removed normal part.
         """
         planes = np.broadcast_to(np.eye(3), (len(self._diagonal), 3, 3)).copy()
         lines = normals[:, :, None] * normals[:, None, :]

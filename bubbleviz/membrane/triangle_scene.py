@@ -13,7 +13,7 @@ from bubbleviz.lazy_imports import import_without
 class RayHits(NamedTuple):
     """First triangle that each ray meets."""
 
-    triangle: np.ndarray  # (k,) int, means nothing where nothing is met
+    triangle: np.ndarray  # (k,) int, undefined where nothing is met
     # (k,), along the ray in lengths of its direction; inf where nothing is met
     distance: np.ndarray
 
