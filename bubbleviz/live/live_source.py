@@ -22,6 +22,9 @@ Link = Literal["connecting", "up", "lost", "ended"]
 
 Deliver = Callable[[Message], None]
 
+_RETRY_S, _LONGER = (0.2, 2.0), 1.5
+"""s between attempts to connect, first and longest, and their ratio; chosen."""
+
 
 class OfferedTopic(NamedTuple):
     name: str
@@ -44,6 +47,7 @@ class LiveSource:
         self.preparing = ""  # text: progress before the first message
         self.problem = ""  # failure of the source itself as text; empty without one
         self._with_colour = False
+        self._retry_s = 0.0
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -77,6 +81,12 @@ class LiveSource:
     def _wait_until(self, time_s: float) -> bool:
         """Sleep until a time of `time.monotonic`; returns False if stopped meanwhile."""
         return not self._stopped.wait(max(time_s - time.monotonic(), 0.0))
+
+    def _wait_to_retry(self, *, anew: bool = False) -> bool:
+        """Wait to connect again, longer each time, or `anew`; False if stopped meanwhile."""
+        first, longest = _RETRY_S
+        self._retry_s = first if anew else min(max(_LONGER * self._retry_s, first), longest)
+        return self._wait_until(time.monotonic() + self._retry_s)
 
     def _main(self, deliver: Deliver) -> None:
         try:

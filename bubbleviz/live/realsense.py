@@ -22,8 +22,8 @@ FILES = (".bag", ".db3")
 """Formats of the SDK's recordings: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
 
 _POLL_S = 0.5  # s between checks for a request to stop; chosen
+_WORKED_S = 5.0  # s that a camera has to stream before its loss counts as a new one; chosen
 _QUEUE = 64  # pictures between the SDK's thread and ours, two seconds at 30 Hz
-_BACK_OFF_S = (0.5, 4.0)  # s between attempts to open a camera, first and longest; chosen
 
 _ENCODINGS = {name: name for name in ("rgb8", "bgr8", "rgba8", "bgra8")} | {"y8": "mono8"}
 
@@ -53,7 +53,7 @@ class RealSenseLive(LiveSource):
 
     def _run(self, deliver: Deliver) -> None:
         """Stream; reopens a camera when colour is requested, and restarts a looped file."""
-        wait, played = _BACK_OFF_S[0], 0
+        played = 0
         while not self._stopped.is_set():
             before, again = time.monotonic(), False
             try:
@@ -71,9 +71,7 @@ class RealSenseLive(LiveSource):
                 break
             if self.link == "up":
                 self.link = "lost"
-            lasted = time.monotonic() - before
-            wait = _BACK_OFF_S[0] if lasted > 5.0 else min(2.0 * wait, _BACK_OFF_S[1])
-            self._wait_until(time.monotonic() + wait)
+            self._wait_to_retry(anew=time.monotonic() - before > _WORKED_S)
 
     def _stream(self, deliver: Deliver, played: int) -> bool:
         """Stream until stopped, or the camera is lost; True to reopen it with colour."""

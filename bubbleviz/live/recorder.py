@@ -15,7 +15,7 @@ from bubbleviz.live.live_stream import LiveStream
 from bubbleviz.recordings import (
     MARKERS,
     STRING,
-    Kept,
+    Flushed,
     McapFile,
     Message,
     are_static_poses,
@@ -209,14 +209,14 @@ class _Session:
 
     def _saved(self) -> str:
         """Text: what the file contains after a failed write."""
-        kept = Kept() if self._file is None else self._file.kept
+        saved = Flushed() if self._file is None else self._file.flushed
         if self._replaces:
             return "nothing was saved, the earlier recording was restored"
-        if not kept.messages:
+        if not saved.messages:
             return "nothing was saved"
         return (
-            f"its first {kept.duration_s:.1f} s were saved "
-            f"({count_of(kept.messages, 'message')}, {1e-6 * kept.size_bytes:.1f} MB)"
+            f"its first {saved.duration_s:.1f} s were saved "
+            f"({count_of(saved.messages, 'message')}, {1e-6 * saved.size_bytes:.1f} MB)"
         )
 
     def _write_all(self) -> None:

@@ -44,7 +44,6 @@ from bubbleviz.recordings import (
 )
 
 LAYOUTS: tuple[Layout, ...] = ("rmw", "dds")
-BACK_OFF_S = (0.2, 2.0)  # s between attempts to connect, first and longest; chosen
 POLL_S = 0.1  # interval of checks for newly announced topics and of the connection
 MAX_ANNOUNCED = 4096  # publishers remembered, ten times a large robot's; chosen
 DIAGNOSE_EVERY_S = 3.0
@@ -174,16 +173,14 @@ class ZenohSource(LiveSource):
 
     def _connect(self) -> bool:
         """Open the session, retrying with increasing intervals; False when stopped."""
-        wait = BACK_OFF_S[0]
         while self._session is None:
             try:
                 self._session = open_session(self._options)
                 self.problem = ""
             except InputError as error:  # no router or peer yet, or wrong password
                 self.problem = error.why if isinstance(error, NotConnectedError) else ""
-                if not self._wait_until(time.monotonic() + wait):
+                if not self._wait_to_retry():
                     return False
-                wait = min(1.5 * wait, BACK_OFF_S[1])
         return True
 
     def _take_token(self, key: str, alive: bool) -> None:

@@ -70,7 +70,7 @@ from .image_folder import (
     read_wrench as read_wrench,
 )
 from .mcap_file import (
-    Kept as Kept,
+    Flushed as Flushed,
     McapFile as McapFile,
 )
 from .message_decoding import (

@@ -17,7 +17,9 @@ CHUNK_BYTES = 4 << 20
 
 
 @dataclass(frozen=True)
-class Kept:
+class Flushed:
+    """What of a recording remains if writing fails."""
+
     size_bytes: int = 0
     messages: int = 0
     duration_s: float = 0.0  # from the first message to the last
@@ -58,7 +60,7 @@ class McapFile:
             raise cannot_write(self.path, error) from error
         self.count = 0  # messages written
         self.synced_bytes = 0  # size that is safely on disk
-        self.kept = Kept()  # as of the last flush, which remains if the disk fills up
+        self.flushed = Flushed()
         self._first_ns = self._last_ns = 0
         self._channels: dict[tuple[str, str], int] = {}
         self._counts: dict[tuple[str, str], int] = {}
@@ -94,13 +96,13 @@ class McapFile:
         self._writer.flush()
         self._stream.flush()
         duration_s = 1e-9 * (self._last_ns - self._first_ns)
-        self.kept = Kept(self._stream.tell(), self.count, duration_s)
+        self.flushed = Flushed(self._stream.tell(), self.count, duration_s)
 
     def sync(self) -> None:
         """Close the chunk and fsync the file; OSError if that fails."""
         self.flush()
         os.fsync(self._stream.fileno())
-        self.synced_bytes = self.kept.size_bytes
+        self.synced_bytes = self.flushed.size_bytes
 
     def close(self) -> None:
         """Finish the file, with the index that makes it quick to open."""
@@ -128,8 +130,8 @@ class McapFile:
     def abandon(self) -> None:
         """Close after a failed write; the file stays as of the last flush."""
         descriptor = self._stream.fileno()
-        os.ftruncate(descriptor, self.kept.size_bytes)
-        self.synced_bytes = self.kept.size_bytes
+        os.ftruncate(descriptor, self.flushed.size_bytes)
+        self.synced_bytes = self.flushed.size_bytes
         with Path(os.devnull).open("wb") as nowhere:  # closing writes the buffer, here to nowhere
             os.dup2(nowhere.fileno(), descriptor)
         self._stream.close()

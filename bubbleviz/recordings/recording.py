@@ -260,6 +260,11 @@ class Recording:
         # encoding of the depth images; `points` where they are point clouds
         self.encoding = encoding_of(first)
         headers, sizes = _headers(self._images)
+        self._order_by_time(headers)
+        self._find_bad(headers, sizes)
+
+    def _order_by_time(self, headers: np.ndarray) -> None:
+        """Order the frames by their stamps (n,), ns, or by log times, see the class."""
         stamps, log_ns = plausible_times(headers, self._images.log_ns)
         arrived = np.argsort(log_ns, kind="stable")
         stamps, log_ns = stamps[arrived], log_ns[arrived]
@@ -272,6 +277,12 @@ class Recording:
             stamps = log_ns
         order = np.argsort(stamps, kind="stable")
         self._order, self._log_ns = arrived[order], log_ns[order]
+        self.stamps_ns = stamps[order]  # (F,) int64, the stamps they come from, ns
+        # (F,), time of each frame since the first, s
+        self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
+
+    def _find_bad(self, headers: np.ndarray, sizes: np.ndarray) -> None:
+        """Find frames without an image, by the headers and sizes of their messages, (n,)."""
         raw = self.depth_topic.type == IMAGE
         least = self.size[0] * self.size[1] * _PIXEL_BYTES.get(self.encoding, 0) if raw else 0
         bad = (headers == UNREADABLE) | (sizes < least)
@@ -281,9 +292,6 @@ class Recording:
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
         self._empty = np.full(self.size[::-1], np.nan, np.float32)  # image of a bad frame
         self._empty.flags.writeable = False
-        self.stamps_ns = stamps[order]  # (F,) int64, the stamps they come from, ns
-        # (F,), time of each frame since the first, s
-        self.times_s = (self.stamps_ns - self.stamps_ns[0]) * 1e-9
 
     def _find_values(self, names: dict[str, str | None]) -> dict[str, Series[np.ndarray]]:
         """Series of values measured along with the images, by type; topics may be given."""
