@@ -122,11 +122,6 @@ def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(arguments, words
     assert words in refusal(*arguments)
 
 
-def test_info_of_a_truncated_recording(recording):
-    recording.write_bytes(recording.read_bytes()[:-40])  # its index is lost, no chunk
-    assert "after it are lost" in output_of("info", recording)
-
-
 @pytest.mark.parametrize(
     ("error", "code", "line"),
     [

@@ -28,8 +28,8 @@ from bubbleviz.files import (
     refuse_existing,
     remove_unfinished,
     table,
-    to_json,
     whole_file,
+    write_json,
     write_rows,
 )
 from bubbleviz.processes import WorkerProcess, check_cluster, run_on_cluster
@@ -390,8 +390,7 @@ def _estimated(job: Job, sensor_name: str, key: str) -> BatchRow:
         folder.mkdir()
         run = estimate(frames, sensor_name, out=folder / RESULT, csv=folder / TABLE, **options)
         row = BatchRow.of(job.name, run.rows(), run.context)
-        summary = {"key": key, "row": asdict(row)}
-        (folder / SUMMARY).write_text(to_json(summary) + "\n", encoding="utf-8")
+        write_json(folder / SUMMARY, {"key": key, "row": asdict(row)})
     return row
 
 

@@ -15,8 +15,8 @@ from bubbleviz.files import (
     refuse_existing,
     refuse_input,
     rows_of,
-    to_json,
     whole_file,
+    write_json,
     write_rows,
 )
 from bubbleviz.output import DPI
@@ -80,7 +80,7 @@ class SavedSummary(Summary):
         if path.suffix == ".csv":
             write_rows(path, rows_of(self.columns()))
         elif path.suffix == ".json":
-            path.write_text(to_json(self.facts()) + "\n", encoding="utf-8")
+            write_json(path, self.facts())
         else:
             self.plot().savefig(path, dpi=DPI)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 import struct
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
@@ -13,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from bubbleviz.camera import MembraneView
-from bubbleviz.files import write_ply
+from bubbleviz.files import write_json, write_ply
 from bubbleviz.output.exporter import Exporter, Shape
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import Frame
@@ -205,8 +204,7 @@ class Pictures(Series):
             "colours": COLOURS,
             "not_known": UNKNOWN_COLOUR,
         }
-        text = json.dumps(scale, indent=1) + "\n"
-        (self.folder / f"{self.name}.json").write_text(text, encoding="utf-8")
+        write_json(self.folder / f"{self.name}.json", scale)
 
 
 class DepthPictures(Pictures):

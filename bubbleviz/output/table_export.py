@@ -149,7 +149,7 @@ _PLOTS: tuple[tuple[str, float, dict[str, str]], ...] = (
 
 
 SIZE_IN = (8.0, 11.0)  # width and height of the figure, inches
-DPI = 130  # resolution of a PNG, dots per inch
+DPI = 130  # resolution of a PNG, dots per inch: legible at the width of a page
 
 
 def write_plots(table: Table, path: Path) -> None:

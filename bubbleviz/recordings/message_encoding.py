@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import COMPRESSED_ENCODINGS, ColourImage, EncodedImage, Intrinsics
+from bubbleviz.files import pose_numbers
 from bubbleviz.recordings.bag import typestore
 from bubbleviz.recordings.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.recordings.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
@@ -78,19 +78,17 @@ def make_wrench(header: Any, values: np.ndarray) -> Any:
 
 def make_pose(pose: np.ndarray) -> Any:
     """`geometry_msgs/Pose` of a pose (4, 4)."""
-    kinds = ros2_types().types
-    return kinds["geometry_msgs/msg/Pose"](
-        kinds["geometry_msgs/msg/Point"](*pose[:3, 3].tolist()),
-        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
-    )
+    kinds, (x, y, z, *turn) = ros2_types().types, pose_numbers(pose)
+    place = kinds["geometry_msgs/msg/Point"](x, y, z)
+    return kinds["geometry_msgs/msg/Pose"](place, kinds["geometry_msgs/msg/Quaternion"](*turn))
 
 
 def make_static_pose(parent: str, child: str, pose: np.ndarray, stamp_ns: int) -> Message:
     """Message on `/tf_static` of T_parent_child (4, 4), which does not change."""
-    kinds = ros2_types().types
+    kinds, (x, y, z, *turn) = ros2_types().types, pose_numbers(pose)
     transform = kinds["geometry_msgs/msg/Transform"](
-        kinds["geometry_msgs/msg/Vector3"](*pose[:3, 3].tolist()),
-        kinds["geometry_msgs/msg/Quaternion"](*Rotation.from_matrix(pose[:3, :3]).as_quat()),
+        kinds["geometry_msgs/msg/Vector3"](x, y, z),
+        kinds["geometry_msgs/msg/Quaternion"](*turn),
     )
     stamped = kinds["geometry_msgs/msg/TransformStamped"](make_header(0, parent), child, transform)
     content = kinds[TRANSFORMS]([stamped])

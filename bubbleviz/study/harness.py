@@ -24,13 +24,13 @@ from bubbleviz.files import (
 )
 from bubbleviz.inverse import RubberBubble
 from bubbleviz.membrane import Contact, RubberMembrane, cotangent_laplacian
+from bubbleviz.output import DPI
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.simulation import Truth
 
 Record = dict[str, Any]
-DOTS_PER_INCH = 130  # legible at the width of a page
 
 
 @dataclass(frozen=True)
@@ -243,7 +243,7 @@ def write(report: Report, out: Path, name: str) -> list[Path]:
                 axes.legend(fontsize=8)
         paths.append(out / f"{name}.png")
         with whole_file(paths[-1]) as temporary:
-            figure.savefig(temporary, dpi=DOTS_PER_INCH)
+            figure.savefig(temporary, dpi=DPI)
     return paths
 
 

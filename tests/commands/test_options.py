@@ -137,15 +137,6 @@ def test_api_replaces_existing_output_on_request(press, sensor, tmp_path):
         np.testing.assert_array_equal(file["force_n"], run_of.force_n)
 
 
-def test_run_written_to_a_file_has_numbers_but_no_frames(press, sensor, tmp_path):
-    run_of = bv.estimate(bv.open(press), sensor, out=tmp_path / "r.npz")
-    kept = bv.estimate(bv.open(press), sensor)
-    np.testing.assert_array_equal(run_of.force_n, kept.force_n)
-    assert len(run_of) == 5 and "wrote" in run_of.to_text() and "wrote" not in kept.to_text()
-    with pytest.raises(bv.InputError, match=r"r\.npz: written frame .*; use bv\.load_run"):
-        run_of[0]
-
-
 def test_unused_output_options_are_refused(press, sensor, tmp_path):
     with pytest.raises(bv.InputError, match=r"r\.csv: .* set out as well"):
         bv.estimate(bv.open(press), sensor, csv=tmp_path / "r.csv")
