@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 
@@ -35,6 +35,11 @@ def rounded(number: float, decimals: int) -> str:
 def reason_of(error: BaseException, most: int | None = None) -> str:
     """Message of an exception in one line of at most so many letters; its class if it has none."""
     return " ".join(str(error).split())[:most] or type(error).__name__
+
+
+def width_by_height(shape: Sequence[int]) -> str:
+    """`640×480` for the shape (480, 640, …) of an image."""
+    return f"{shape[1]}×{shape[0]}"
 
 
 def how_to_install(extra: str) -> str:

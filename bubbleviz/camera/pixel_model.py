@@ -11,6 +11,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error, plain_numbers, read_npz
+from bubbleviz.wording import width_by_height
 
 NOISES_M = 1e-9, 1.0  # σ of a pixel
 FARTHEST_OFF_M = 1.0  # bias of a pixel
@@ -115,7 +116,7 @@ class PixelModel:
         if mask.ndim != 2 or len(same) > 1:
             raise InputError(f"{path}: its images differ in size; identify the sensor again")
         if shape is not None and mask.shape != shape:
-            made, has = (f"{s[1]}×{s[0]}" for s in (mask.shape, shape))
+            made, has = map(width_by_height, (mask.shape, shape))
             raise InputError(
                 f"{path}: made for {made} pixels but the camera has {has}; identify the sensor "
                 "again"

@@ -15,6 +15,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import whole_file
+from bubbleviz.wording import width_by_height
 
 _CRF = 15  # of 51, 0 being lossless: text stays legible
 
@@ -51,8 +52,9 @@ class Mp4Writer:
             self._shape, self._encoder = picture.shape, self._started(even)
         elif picture.shape != self._shape:
             raise InputError(
-                f"{self._path}: a picture is {_by(picture.shape)} pixels, the first "
-                f"{_by(self._shape)}; keep the size of the view while the video is written"
+                f"{self._path}: a picture is {width_by_height(picture.shape)} pixels, the first "
+                f"{width_by_height(self._shape)}; keep the size of the view while the video is "
+                "written"
             )
         assert self._encoder.stdin is not None
         try:
@@ -137,7 +139,3 @@ def open_mp4(
 def _even(picture: np.ndarray) -> np.ndarray:
     height, width = picture.shape[:2]
     return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-
-
-def _by(shape: tuple[int, ...]) -> str:
-    return f"{shape[1]}×{shape[0]}"

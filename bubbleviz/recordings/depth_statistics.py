@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from bubbleviz.errors import InputError
+from bubbleviz.wording import width_by_height
 
 _REACH_PX = 32  # largest distance of correlations, if the image is large enough
 _THREADS = 2  # numpy sorts, sums and transforms without the interpreter's lock
@@ -258,8 +259,8 @@ def measure_depth(
         )
     if depth.shape[1:] != range_per_depth.shape:
         raise InputError(
-            f"depth images: {depth.shape[2]}×{depth.shape[1]} pixels but the sensor file has "
-            f"{range_per_depth.shape[1]}×{range_per_depth.shape[0]}; choose the sensor file of "
+            f"depth images: {width_by_height(depth.shape[1:])} pixels but the sensor file has "
+            f"{width_by_height(range_per_depth.shape)}; choose the sensor file of "
             "this camera"
         )
     valid = np.isfinite(depth)

@@ -6,7 +6,6 @@ import csv
 import json
 import re
 import warnings
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +23,7 @@ from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, metres, project_
 from bubbleviz.recordings.recorded_colour import ColourAround, half_step_ns
 from bubbleviz.recordings.time_series import Moment, Series, values_at
 from bubbleviz.sensor import Lens
-from bubbleviz.wording import count_of
+from bubbleviz.wording import count_of, width_by_height
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
 INTRINSICS = ("intrinsics.toml", "intrinsics.json")
@@ -177,8 +176,8 @@ class ImageFolder:
         pixels = self._pixels(path)
         if pixels.shape != self._shape:
             raise InputError(
-                f"{path}: {_size(pixels.shape)} pixels, the first image has {_size(self._shape)}; "
-                "keep images of one size in the folder"
+                f"{path}: {width_by_height(pixels.shape)} pixels, the first image has "
+                f"{width_by_height(self._shape)}; keep images of one size in the folder"
             )
         usual = _MILLIMETRE if pixels.dtype.kind in "ui" else 1.0
         with np.errstate(over="ignore", invalid="ignore"):  # out of range: no return
@@ -213,7 +212,7 @@ class ImageFolder:
         camera = self._intrinsics
         if camera is not None and (camera.height, camera.width) != self._shape:
             raise InputError(
-                f"{self._files[0]}: {_size(self._shape)} pixels, the intrinsics are for "
+                f"{self._files[0]}: {width_by_height(self._shape)} pixels, the intrinsics are for "
                 f"{camera.width}×{camera.height}; give the intrinsics of these images"
             )
         depth = self._depth(self._files[0])
@@ -335,10 +334,6 @@ def _numbers(stem: str) -> tuple[float, ...]:
 def _number(stem: str) -> float | None:
     """The number of an image, the last one in its name."""
     return next(reversed(_numbers(stem)), None)
-
-
-def _size(shape: Sequence[int]) -> str:
-    return f"{shape[1]}×{shape[0]}"
 
 
 def _read(path: Path) -> np.ndarray:

@@ -52,6 +52,7 @@ from bubbleviz.recordings.time_series import (
     recorded_series,
     values_at,
 )
+from bubbleviz.wording import width_by_height
 
 _PIXEL_BYTES = {name: kind.itemsize for name, kind in DEPTH_ENCODINGS.items()}
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
@@ -119,7 +120,7 @@ class Recording:
             depth = self._empty if index in self._bad else self._decoded(self._images.message(k))
             if depth.shape != self.size[::-1]:
                 raise ValueError(
-                    f"its image has {depth.shape[1]}×{depth.shape[0]} pixels, the first image "
+                    f"its image has {width_by_height(depth.shape)} pixels, the first image "
                     f"{self.size[0]}×{self.size[1]}"
                 )
             return Frame(

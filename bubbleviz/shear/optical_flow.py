@@ -11,7 +11,7 @@ import numpy as np
 from bubbleviz.camera import BLOCK_PX, FlowField
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import MIN_FRAMES, mean_inflation, temporal_correlation
-from bubbleviz.wording import how_to_install
+from bubbleviz.wording import how_to_install, width_by_height
 
 # OpenCV, which only optical flow needs.
 
@@ -193,8 +193,8 @@ class OpticalFlow:
         """
         if grey.shape != self.shape:
             raise InputError(
-                f"colour image: {grey.shape[1]}×{grey.shape[0]} pixels, the contact-free ones have "
-                f"{self.shape[1]}×{self.shape[0]}; use images of one resolution"
+                f"colour image: {width_by_height(grey.shape)} pixels, the contact-free ones have "
+                f"{width_by_height(self.shape)}; use images of one resolution"
             )
         if self.problem:
             return self.nothing(self.problem)

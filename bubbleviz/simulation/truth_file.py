@@ -11,7 +11,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import TRUTH_SUFFIX, as_input_error, read_npz
 from bubbleviz.recordings import Frame, FrameSource, Recording
 from bubbleviz.simulation.synthetic_source import Truth
-from bubbleviz.wording import count_of
+from bubbleviz.wording import count_of, width_by_height
 
 KEYS = (*(f.name for f in fields(Truth) if f.default is MISSING), "time_s", "T_B_O")
 """Required keys of a TRUTH.npz; a RESULT.npz has no T_B_O."""
@@ -121,4 +121,4 @@ def with_truth_file(recording: FrameSource) -> FrameSource:
 
 
 def _described(frames: int, shape: tuple[int, ...]) -> str:
-    return f"{count_of(frames, 'frame')} of {shape[2]}×{shape[1]} pixels"
+    return f"{count_of(frames, 'frame')} of {width_by_height(shape[1:])} pixels"
