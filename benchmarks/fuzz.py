@@ -33,11 +33,12 @@ from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES as MESHES, write_ply
 from bubbleviz.live import FrameAssembler, load_session
-from bubbleviz.processes import WorkerProcess
+from bubbleviz.processes import PeakMemory, WorkerProcess
 from bubbleviz.recordings import Bag, McapFile, Message, ros2_types, typestore
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Calibration, Camera, Membrane, Pneumatics, Sensor, sensor_to_toml
 from bubbleviz.simulation import read_truth
+from bubbleviz.wording import reason_of
 
 MEMORY_BYTES = 2 << 30
 TIMEOUT_S = 10.0
@@ -53,7 +54,7 @@ class Outcome(NamedTuple):
     kind: str
     fault: str  # empty if there is none
     seconds: float
-    peak_bytes: int
+    memory_bytes: int  # increase of the peak
 
 
 # -- mutations ------------------------------------------------------------------------------------
@@ -449,19 +450,21 @@ def run_input(corpus: Corpus, make: Make, seed: int, number: int, scratch: Path)
     folder = scratch / str(number)
     folder.mkdir()
     work = make(corpus, folder, np.random.default_rng([seed, number]))
-    with contextlib.suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here
-    begun = time.process_time()
-    with _streams_in_files(scratch) as said, warnings.catch_warnings():
+    with (
+        _streams_in_files(scratch) as said,
+        warnings.catch_warnings(),
+        PeakMemory() as memory,
+    ):
         warnings.simplefilter("always")  # else each place warns once
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         warnings.filterwarnings("ignore", category=ResourceWarning)
+        begun = time.process_time()
         code, fault = _run(work)
-    seconds = time.process_time() - begun
+        seconds = time.process_time() - begun
     fault = fault or _fault_of(code, *(path.read_text(errors="replace") for path in said))
     left = [path.name for path in folder.rglob(".*")]
     fault = fault or (f"left {left[0]}" if left else "")
-    return Outcome(number, make.__name__, fault, seconds, _peak_bytes())
+    return Outcome(number, make.__name__, fault, seconds, memory.increase_bytes)
 
 
 def _run(work: Work) -> tuple[int, str]:
@@ -478,9 +481,8 @@ def _run(work: Work) -> tuple[int, str]:
     except BaseException as error:
         places = traceback.extract_tb(error.__traceback__)
         ours = [each for each in places if "bubbleviz" in each.filename] or list(places)
-        text = " ".join(str(error).split())[:100]
         where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno}"
-        return 1, f"{type(error).__name__} at {where}: {text}"
+        return 1, f"{type(error).__name__} at {where}: {reason_of(error, 100)}"
     return 0, ""
 
 
@@ -517,11 +519,6 @@ def _streams_in_files(folder: Path) -> Iterator[tuple[Path, Path]]:
             os.close(descriptor)
 
 
-def _peak_bytes() -> int:
-    lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
-    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
-
-
 def _import_commands() -> None:
     for verb in ("info", "convert", "estimate", "check", "export"):
         getattr(bv, verb)
@@ -552,8 +549,10 @@ def to_text(outcomes: Sequence[Outcome]) -> str:
         f"{count:5} × {kind}: {fault} (first: {first[kind, fault]})"
         for (kind, fault), count in faults.most_common()
     ]
-    peak = max(each.peak_bytes for each in outcomes) / 1e6
+    memory = max(each.memory_bytes for each in outcomes) / 1e6
     longest = max(each.seconds for each in outcomes)
     wrong = sum(faults.values())
-    lines.append(f"{len(outcomes)} inputs, {wrong} faults; at most {peak:.0f} MB, {longest:.2f} s")
+    lines.append(
+        f"{len(outcomes)} inputs, {wrong} faults; at most {memory:.0f} MB, {longest:.2f} s"
+    )
     return "\n".join(lines)
