@@ -129,7 +129,10 @@ def _simulated(sensor_name: str, place_m: tuple[float, float], noise: DepthNoise
 _PRESSES: dict[str, Callable[[], Press]] = {
     "real press": _real_press,
     "rubber oval": partial(
-        _simulated, "punyo_oval_d405", (0.02, 0.005), DepthNoise(5e-5, correlation_px=4.0)
+        _simulated,
+        "punyo_oval_d405",
+        (0.02, 0.005),
+        DepthNoise(absolute_m=5e-5, correlation_px=4.0),
     ),
     "flat pico": partial(_simulated, "pico_flexx_75mm", (0.01, 0.005), DepthNoise(relative=0.01)),
 }

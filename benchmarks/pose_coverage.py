@@ -141,7 +141,7 @@ class _Bench:
         metrics = PoseMetrics(model, precision_of(self._pipeline.estimator))
         rows = []
         for moving, (absolute_m, relative) in product((False, True), grid.noises):
-            noise = DepthNoise(relative, absolute_m)
+            noise = DepthNoise(relative=relative, absolute_m=absolute_m)
             text = f"{100 * relative:g} %" if relative else f"{1e3 * absolute_m:g} mm"
             motion = "moving" if moving else "at rest"
             base = PoseRow(name, self._material, text, motion, "none")

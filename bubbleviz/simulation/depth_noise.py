@@ -16,7 +16,7 @@ from bubbleviz.sensor_model import SensorModel
 _MAX_LAG = 32  # frames over which noise may be correlated
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DepthNoise:
     """Noise model of a depth camera."""
 

@@ -83,7 +83,9 @@ def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
     here, far = np.eye(4), np.eye(4)
     here[:3, 3], far[:3, 3] = [0.018, 0.0, 0.036], [-0.018, 0.0, 0.036]
     path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
-    jumping = SyntheticSource(sensor, study_object("frustum"), path, DepthNoise(0.005), nodes=4_000)
+    jumping = SyntheticSource(
+        sensor, study_object("frustum"), path, DepthNoise(relative=0.005), nodes=4_000
+    )
     pipeline.track(jumping.obj, here)
     poses = [pipeline.process(jumping[k], PRODUCTS).pose for k in range(8)]
     assert close(poses[0], here)
