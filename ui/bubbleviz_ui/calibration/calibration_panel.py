@@ -38,7 +38,7 @@ from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
 from bubbleviz_ui.shell.message_bars import JobProgress, StepButtons, StepState
 
 OUTDATED = "Outdated: settings changed since."
-WIDTH, LEAST_HEIGHT = 380, 80
+WIDTH, LEAST_HEIGHT = 380, 40
 """Of the panel, and of a page on a low screen, where it is scrolled, screen pixels."""
 
 

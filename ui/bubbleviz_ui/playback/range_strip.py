@@ -20,7 +20,7 @@ from bubbleviz.recordings import TimeAxis
 from bubbleviz_ui.model.units import DASH, Unit
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import push_button
-from bubbleviz_ui.shell.table import ROW, Table
+from bubbleviz_ui.shell.table import Table
 
 HEIGHT = 16
 MARGIN = 7
@@ -264,7 +264,7 @@ class RangeTable(Table):
         """Be as high as the rows, or scroll on a low screen."""
         least = self.full_height + self.horizontalScrollBar().sizeHint().height()
         self.setMaximumHeight(least)
-        self.setMinimumHeight(least - (len(NUMBERS)) * ROW)
+        self.setMinimumHeight(least - self.verticalHeader().length())
 
 
 def _heading(curve: Curve) -> str:

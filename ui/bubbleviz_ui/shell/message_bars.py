@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QMenuBar,
     QProgressBar,
+    QScrollArea,
     QWidget,
 )
 
@@ -29,10 +30,52 @@ NOTICE_MS = 6000
 """Duration of a notice, enough to read a path and click a button."""
 GAP = 16
 """Distance of a notice from the menus, screen pixels."""
+MOST_LINES = 2
+"""Lines of a text seen without scrolling: the 3-D view keeps its height in a small window."""
 HINT = (
     "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → step by one frame. "
     "Ctrl+K finds all commands; hold the mouse over a control to see what it does."
 )
+
+
+class ScrolledText(QScrollArea):
+    """A text in lines, scrolled beyond `MOST_LINES`."""
+
+    def __init__(self) -> None:
+        super().__init__(widgetResizable=True)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self._label = QLabel(wordWrap=True)
+        self.setWidget(self._label)
+        for each in (self._label, self.viewport()):
+            each.setAutoFillBackground(False)  # the bar has its own colour
+
+    def text(self) -> str:
+        """The whole text."""
+        return self._label.text()
+
+    def setText(self, text: str) -> None:
+        """Show a text."""
+        self._label.setText(text)
+        self.updateGeometry()
+
+    def hasHeightForWidth(self) -> bool:
+        """Of a narrower text."""
+        return True
+
+    def heightForWidth(self, width: int) -> int:
+        """Height of the lines seen, screen pixels."""
+        most = MOST_LINES * self.fontMetrics().lineSpacing()
+        return min(self._label.heightForWidth(width), most)
+
+    def sizeHint(self) -> QSize:
+        """Size of the text in one line."""
+        return self.fontMetrics().size(Qt.TextFlag.TextSingleLine, self._label.text())
+
+    def minimumSizeHint(self) -> QSize:
+        """Width of the longest word, height of a line."""
+        return self._label.minimumSizeHint()
 
 
 class _Bar(QFrame):
@@ -40,7 +83,7 @@ class _Bar(QFrame):
 
     def __init__(self, parent: QWidget, *widgets: QWidget) -> None:
         super().__init__(parent)
-        self.kind, self.label = theme.bold(QLabel()), QLabel(wordWrap=True)
+        self.kind, self.label = theme.bold(QLabel()), ScrolledText()
         text = QWidget()
         fill(QHBoxLayout(text), self.kind, (self.label, 1), margins=(0, 0, 0, 0))
         BarLayout(self, text, *widgets, margins=(12, 6, 8, 6))
