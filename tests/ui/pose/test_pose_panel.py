@@ -123,7 +123,7 @@ def test_fit_once_from_the_initial_pose_shows_object_and_quality_and_copies_the_
     assert "mm" in bench.text("fit") and "%" in bench.text("first")
     assert bench.text("open") == "translation along 2 directions and rotation about 1 axis"
     fit = bench.window.scene.layers["fit"]
-    assert isinstance(fit, FitLayer) and fit.points.visibility and fit.arrows.visibility
+    assert isinstance(fit, FitLayer) and fit.points.visibility and fit.arrows.actor.visibility
     assert pose.stage_one is not None
     box = bench.panel.stage
     box.setFocus()
@@ -354,7 +354,7 @@ def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_sma
         bench.click(panel.track)
         bench.wait(lambda: bench.result.object_patch is not None and session.pose is not None)
         bench.wait_until_shown()
-        assert fit.points.visibility and fit.arrows.visibility and panel.track.isChecked()
+        assert fit.points.visibility and fit.arrows.actor.visibility and panel.track.isChecked()
         assert outlined(bench)[1]
 
     def wait_for_nothing():

@@ -171,12 +171,12 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     driver.window.scene.show(dragged(driver), settings)
     for actor in layer.actors:
         points = np.asarray(actor.mapper.GetInput().points)
-        assert len(points) == 3 * 5 and actor.GetVisibility()
+        assert len(np.unique(points, axis=0)) == 3 * 4 and actor.GetVisibility()
         ways.append(np.linalg.norm(points[1] - points[0]))
     assert ways[0] == pytest.approx(2.0 * ways[1])
     driver.window.scene.show(dragged(driver, "depth_alone"), settings)
-    assert len(drawn_points(layer)) == 15
-    assert np.ptp(np.asarray(layer.actors[1].mapper.GetInput().points)) == 0.0
+    assert len(np.unique(drawn_points(layer), axis=0)) == 3 * 4
+    assert np.ptp(np.asarray(layer.actors[1].mapper.GetInput().points), axis=0).max() == 0.0
     driver.window.scene.show(replace(dragged(driver), traction=None), settings)
     assert not any(actor.GetVisibility() for actor in layer.actors)
     # numbers have intervals and remarks

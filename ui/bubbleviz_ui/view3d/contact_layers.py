@@ -21,10 +21,10 @@ from bubbleviz_ui.view3d.layer import (
     Canvas,
     Layer,
     Picture,
+    Segments,
     Surface,
     draw_in_front,
     light_without_highlights,
-    pairs,
 )
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, text_at, text_size, wrap
@@ -96,8 +96,8 @@ class WireframeLayer(Layer):
 # Outlines of contact patches.
 
 
-CHUNK = 256
-"""Line buffers grow in this step, as VTK is slower when the number of lines changes."""
+IN_FRONT = -200.0
+"""Draws the outlines in front of the membrane, on which they lie."""
 
 
 class ContourLayer(Layer):
@@ -110,8 +110,8 @@ class ContourLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._edge = _Line(self, theme.LINE, line_width=3)
-        self._band = _Line(self, theme.FAINT_LINE, line_width=1)
+        self._edge = Segments(self, theme.LINE, IN_FRONT, line_width=3)
+        self._band = Segments(self, theme.FAINT_LINE, IN_FRONT, line_width=1)
         self._set_drawn(False)
 
     def draw(self, picture: Picture) -> None:
@@ -132,7 +132,7 @@ class ObjectPatchLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._edge = _Line(self, theme.OBJECT_PATCH, -250.0, line_width=3)
+        self._edge = Segments(self, theme.OBJECT_PATCH, -250.0, line_width=3)
         self._set_drawn(False)
 
     def draw(self, picture: Picture) -> None:
@@ -172,7 +172,7 @@ class _Outline:
 
     def __init__(self, layer: Layer, colour: str) -> None:
         self._surface = Surface(layer.canvas.units)
-        self._line = _Line(layer, colour, -300.0, line_width=2)
+        self._line = Segments(layer, colour, -300.0, line_width=2)
         self._mesh: MembraneMesh | None = None
 
     def draw(self, measured: ComparedResult | None, exaggeration: float) -> None:
@@ -189,36 +189,11 @@ class _Outline:
         self._line.draw(self._surface.edge(measured.result.estimate, patch))
 
 
-class _Line:
-    """Line segments in a buffer whose unused segments have zero length."""
-
-    def __init__(self, layer: Layer, colour: str, units: float = -200.0, **look: float) -> None:
-        self._poly = pv.PolyData()
-        self._reserve(1)
-        self.actor = layer.add(self._poly, color=colour, lighting=False, **look)
-        draw_in_front(self.actor, units)
-
-    def draw(self, pieces: np.ndarray) -> None:
-        """Replace the segments by (k, 2, 3) in B."""
-        self._reserve(len(pieces))
-        ends = pieces.reshape(-1, 3)
-        self._ends[: len(ends)] = ends
-        self._ends[len(ends) :] = ends[-1] if len(ends) else self._ends[0]
-        self._poly.Modified()
-
-    def _reserve(self, count: int) -> None:
-        room = -(-max(count, 1) // CHUNK) * CHUNK
-        if 2 * room > self._poly.n_points:
-            self._poly.points = np.zeros((2 * room, 3))
-            self._poly.lines = pairs(room)
-            self._ends = self._poly.points
-
-
 # Contact pressure as lines along the normals, with lengths proportional to the pressure.
 
 
 LONGEST = 0.5
-"""Line length at the end of the pressure scale, in heights of the dome."""
+"""Line length at the end of the pressure scale, in heights of the dome; of traction, too."""
 
 
 class VectorsLayer(Layer):
@@ -228,28 +203,15 @@ class VectorsLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._longest_m = 0.02
-        self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        lines = self.add(self._poly, color=theme.ORANGE, line_width=2, lighting=False)
-        lines.SetPickable(False)
-
-    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Set number of nodes and size of another sensor."""
-        self._longest_m = LONGEST * float(np.ptp(mesh.nodes[:, 2]))
-        self._poly.points = np.repeat(mesh.nodes, 2, axis=0)
-        self._poly.lines = pairs(len(mesh.nodes))
+        self._lines = Segments(self, theme.ORANGE, line_width=2)
 
     def draw(self, picture: Picture) -> None:
         """Place the lines; nothing without an estimate."""
-        if picture.shape is None:
-            return
         shape = picture.shape
-        share = shape.pressure_pa / picture.ranges.pressure_pa
-        ends = shape.nodes_m + (self._longest_m * share)[:, None] * shape.normals
-        self._poly.points[0::2] = ends
-        self._poly.points[1::2] = shape.nodes_m
-        self._poly.GetPoints().Modified()
-        self._poly.Modified()
+        if shape is not None:
+            scale = LONGEST * self.canvas.surface.height_m / picture.ranges.pressure_pa
+            ways = scale * shape.pressure_pa[:, None] * shape.normals
+            self._lines.draw(np.stack([shape.nodes_m + ways, shape.nodes_m], axis=1))
 
 
 # The contact force: an arrow that ends at the centre of pressure.
@@ -270,21 +232,16 @@ class ForceLayer(Layer):
             start=(-1, 0, 0), direction=(1, 0, 0), tip_length=0.3, tip_radius=0.07,
             shaft_radius=0.025,
         )  # fmt: skip
-        self._longest_m = 0.05
         draw_in_front(self.add(arrow, color=theme.FORCE, ambient=0.4), DEPTH_OFFSET)
         self._set_drawn(False)
 
-    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Scale the arrow: the end of the force scale is the dome's height."""
-        self._longest_m = float(np.ptp(mesh.nodes[:, 2]))
-
     def draw(self, picture: Picture) -> None:
-        """Place the arrow; nothing without contact."""
+        """Place the arrow, as long as the dome is high at the end of the scale, if any."""
         patch = picture.result.trusted_patch
         force = float(np.linalg.norm(patch.force_n)) if patch is not None else 0.0
         touched = patch is not None and patch.area_m2 > 0 and force > 0
         if patch is not None and touched:
-            length = self._longest_m * force / picture.ranges.force_n
+            length = self.canvas.surface.height_m * force / picture.ranges.force_n
             self.actor.user_matrix = _place(
                 patch.force_n / force, patch.center_of_pressure_m, length
             )
@@ -420,9 +377,7 @@ def _text_actor(view: View, colour: str | None = None) -> Any:
 # Contact traction as arrows: normal and tangential part, in two colours on one scale.
 
 
-LONGEST_TRACTION = 0.5
-"""Arrow length at the end of the pressure scale, in heights of the dome."""
-TRACTION_HEAD = (-0.25, 0.12)
+BARB = (-0.25, 0.12)
 """End of a barb relative to the tip, along and across the arrow, in arrow lengths."""
 
 
@@ -436,16 +391,8 @@ class TractionLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._longest_m = 0.02
-        self._arrows = tuple(_empty() for _ in range(2))
-        for poly, colour in zip(self._arrows, (theme.ORANGE, theme.BLUE), strict=True):
-            lines = self.add(poly, color=colour, line_width=3, lighting=False)
-            lines.SetPickable(False)
-            draw_in_front(lines, -120.0)
-
-    def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Set the size of another sensor."""
-        self._longest_m = LONGEST_TRACTION * float(np.ptp(mesh.nodes[:, 2]))
+        colours = theme.ORANGE, theme.BLUE
+        self._normal, self._along = (Segments(self, each, -120.0, line_width=3) for each in colours)
 
     def draw(self, picture: Picture) -> None:
         """Draw the traction, if it was estimated."""
@@ -455,37 +402,20 @@ class TractionLayer(Layer):
         if traction is None or shape is None or not known:
             return
         touched = np.flatnonzero(traction.nodal_force_n.any(axis=1))
-        scale = self._longest_m / picture.ranges.pressure_pa
+        scale = LONGEST * self.canvas.surface.height_m / picture.ranges.pressure_pa
         normal, along = (scale * part[touched] for part in traction.parts_pa)
         nodes, normals = shape.nodes_m[touched], shape.normals[touched]
         if traction.status == "depth_alone":
             along = along[:0]
-        _put_arrows(self._arrows[0], nodes - normal, normal, np.roll(normals, 1, axis=1))
-        _put_arrows(self._arrows[1], nodes[: len(along)], along, normals[: len(along)])
+        self._normal.draw(_arrows(nodes - normal, normal, np.roll(normals, 1, axis=1)))
+        self._along.draw(_arrows(nodes[: len(along)], along, normals[: len(along)]))
 
 
-def _empty() -> pv.PolyData:
-    return pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-
-
-def _put_arrows(
-    poly: pv.PolyData, starts: np.ndarray, ways: np.ndarray, across: np.ndarray
-) -> None:
-    """Draw k arrows from `starts` along `ways`, with barbs normal to `across`; all (k, 3)."""
-    if not len(starts):
-        poly.copy_from(_empty())
-        return
-    ends, aside = starts + ways, np.cross(across, ways)
-    back = ends + TRACTION_HEAD[0] * ways
-    points = np.stack(
-        [starts, ends, back + TRACTION_HEAD[1] * aside, ends, back - TRACTION_HEAD[1] * aside],
-        axis=1,
-    )
-    count = len(starts)
-    pairs = 5 * np.arange(count)[:, None, None] + np.array([[0, 1], [1, 2], [3, 4]])
-    lines = np.concatenate([np.full((count, 3, 1), 2), pairs], axis=2)
-    new = pv.PolyData(points.reshape(-1, 3), lines=lines.ravel())
-    poly.copy_from(new)
+def _arrows(starts: np.ndarray, ways: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """Segments (3 k, 2, 3) of arrows along `ways`, with barbs normal to `across`; all (k, 3)."""
+    tips, back, aside = starts + ways, BARB[0] * ways, BARB[1] * np.cross(across, ways)
+    ends = np.stack([starts, tips + back + aside, tips + back - aside], axis=1)
+    return np.stack([ends, np.repeat(tips[:, None], 3, axis=1)], axis=2).reshape(-1, 2, 3)
 
 
 # Colour image as a texture on the deformed membrane.
@@ -518,7 +448,6 @@ class TextureLayer(Layer):
         self._texture.SetInterpolate(True)
         self._texture.SetRepeat(False)
         actor.SetTexture(self._texture)
-        actor.SetPickable(False)
         draw_in_front(actor, -30.0)
         self._note = text_at(canvas.view, NOTE, (0.5, 0.16))  # above the scale bar
         self._note.GetTextProperty().SetJustificationToCentered()

@@ -39,6 +39,7 @@ class Surface:
 
     def __init__(self, units: Units) -> None:
         self._units = units
+        self.height_m = 0.0  # Of the dome at rest
         self._mesh: MembraneMesh | None = None
         # Nodes in B, m; point data `PRESSURE` in displayed units
         self.poly = pv.PolyData(np.eye(3), np.array([3, 0, 1, 2]))
@@ -47,6 +48,7 @@ class Surface:
     def set_mesh(self, mesh: MembraneMesh) -> None:
         """Set the reference mesh of another sensor."""
         self._mesh, self._true_m = mesh, mesh.nodes
+        self.height_m = float(np.ptp(mesh.nodes[:, 2]))
         self.poly.point_data.clear()
         self.poly.points = mesh.nodes
         self.poly.faces = cells(mesh.triangles)
@@ -117,11 +119,6 @@ def cells(points: np.ndarray) -> np.ndarray:
     return np.insert(points, 0, points.shape[1], axis=1).ravel()
 
 
-def pairs(count: int) -> np.ndarray:
-    """VTK cell array of `count` separate lines, each between two consecutive points."""
-    return cells(np.arange(2 * count).reshape(count, 2))
-
-
 @dataclass(frozen=True)
 class Canvas:
     """View, surface and units shared by the layers of a sensor."""
@@ -186,6 +183,36 @@ class Layer:
             actor.SetVisibility(self._visible and self._drawn)
 
 
+CHUNK = 256
+"""Line buffers grow in this step, as VTK is slower when the number of lines changes."""
+
+
+class Segments:
+    """Line segments of a layer, in a buffer whose unused segments have zero length."""
+
+    def __init__(self, layer: Layer, colour: str, in_front: float = 0.0, **look: float) -> None:
+        self._poly = pv.PolyData()
+        self._reserve(1)
+        self.actor = layer.add(self._poly, color=colour, lighting=False, **look)
+        if in_front:
+            draw_in_front(self.actor, in_front)
+
+    def draw(self, pieces: np.ndarray) -> None:
+        """Replace the segments by (k, 2, 3) in B."""
+        self._reserve(len(pieces))
+        ends = pieces.reshape(-1, 3)
+        self._ends[: len(ends)] = ends
+        self._ends[len(ends) :] = ends[-1] if len(ends) else self._ends[0]
+        self._poly.Modified()
+
+    def _reserve(self, count: int) -> None:
+        room = -(-max(count, 1) // CHUNK) * CHUNK
+        if 2 * room > self._poly.n_points:
+            self._poly.points = np.zeros((2 * room, 3))
+            self._poly.lines = cells(np.arange(2 * room).reshape(room, 2))
+            self._ends = self._poly.points
+
+
 def new_actor(
     view: View,
     data: Any,  # Polygonal data, or a VTK algorithm that makes it
@@ -214,9 +241,8 @@ def new_actor(
 
 
 def add_mark(view: View, data: Any, units: float = -6000.0, **look: Any) -> Any:
-    """Add an actor that is drawn in front of others and cannot be picked."""
+    """Add an actor that is drawn in front of others."""
     actor = new_actor(view, data, **look)
-    actor.SetPickable(False)
     draw_in_front(actor, units)
     return actor
 

@@ -13,7 +13,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, rgb
-from bubbleviz_ui.view3d.layer import Canvas, Layer, add_mark, cells, draw_in_front, pairs
+from bubbleviz_ui.view3d.layer import Canvas, Layer, Segments, add_mark, cells, draw_in_front
 from bubbleviz_ui.view3d.render_view import View
 
 DETERMINED, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
@@ -28,7 +28,7 @@ class ObjectLayer(Layer):
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
-        self.add(self._poly, color=DETERMINED, opacity=OPACITY, ambient=0.3).SetPickable(False)
+        self.add(self._poly, color=DETERMINED, opacity=OPACITY, ambient=0.3)
         self._has_mesh = False
         # (4, 4) pose at which it is drawn; None while it is hidden
         self.T_B_O: np.ndarray | None = None
@@ -93,8 +93,6 @@ class FitLayer(Layer):
         self._length = 0.02
         self._points = pv.PolyData(np.zeros((1, 3)))
         self._points.point_data["distance"] = np.zeros(1)
-        self._lines = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        self._arrows = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
         self.points = self.add(
             self._points,
             scalars="distance",
@@ -103,11 +101,9 @@ class FitLayer(Layer):
             **canvas.view.quality.points,
         )
         self.points.mapper.scalar_range = (-HIGHEST_M, HIGHEST_M)
-        self.lines = self.add(self._lines, color=theme.ORANGE, line_width=1, lighting=False)
-        self.arrows = self.add(self._arrows, color=theme.NODE, line_width=3, lighting=False)
-        for actor in self.actors:
-            actor.SetPickable(False)
-            draw_in_front(actor, DEPTH_OFFSET)
+        draw_in_front(self.points, DEPTH_OFFSET)
+        self.lines = Segments(self, theme.ORANGE, DEPTH_OFFSET, line_width=1)
+        self.arrows = Segments(self, theme.NODE, DEPTH_OFFSET, line_width=3)
         self._set_drawn(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -123,17 +119,13 @@ class FitLayer(Layer):
         self._set_drawn(fitted)
 
     def _fill(self, pose: Pose) -> None:
-        count = len(pose.points_m)
         self._points.point_data.clear()
         self._points.points = pose.points_m
-        self._points.verts = cells(np.arange(count)[:, None])
+        self._points.verts = cells(np.arange(len(pose.points_m))[:, None])
         self._points.point_data["distance"] = pose.distance_m
         self._points.GetPointData().SetActiveScalars("distance")
-        self._lines.points = np.stack([pose.points_m, pose.places_m], axis=1).reshape(-1, 3)
-        self._lines.lines = pairs(count)
-        ends = undetermined_arrows(pose, self._length)
-        self._arrows.points = ends if len(ends) else np.repeat(pose.center_m[None], 2, axis=0)
-        self._arrows.lines = pairs(max(len(ends) // 2, 1))
+        self.lines.draw(np.stack([pose.points_m, pose.places_m], axis=1))
+        self.arrows.draw(undetermined_arrows(pose, self._length).reshape(-1, 2, 3))
 
 
 def undetermined_arrows(pose: Pose, length_m: float) -> np.ndarray:
