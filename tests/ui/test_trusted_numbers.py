@@ -51,7 +51,7 @@ def analyse(driver):
 
 
 def heading(driver):
-    return re.sub(r"<[^>]*>", "", driver.window.plots.plots["force"].frame.text)
+    return re.sub(r"<[^>]*>", "", driver.window.plots.plots["force"].text)
 
 
 def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(drive):

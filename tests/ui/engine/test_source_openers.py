@@ -49,7 +49,7 @@ def opened(drive, sensor, path):
 
 def says_iou(driver):
     curve = driver.window.threshold.curve
-    return curve is not None and "IoU" in curve.frame.label.text
+    return curve is not None and "IoU" in curve.label.text
 
 
 def test_ground_truth_is_saved_in_the_session_and_markers_are_on_the_timeline(

@@ -95,8 +95,8 @@ def test_labels_follow_the_chosen_units(drive):
     for line, symbol in zip(window.images.lines, ("m", "m", "psi"), strict=True):
         assert line.text().endswith(f" {symbol}")
     assert window.images.cells["depth"].text.endswith(" m")
-    assert "mN" in window.plots.plots["force"].frame.text
-    assert window.plots.plots["center"].frame.text.endswith(" m")
+    assert "mN" in window.plots.plots["force"].text
+    assert window.plots.plots["center"].text.endswith(" m")
     head, rest, *others = view_texts(driver)
     assert head.startswith("contact") and head.endswith("mN")
     assert rest.startswith("peak") and "psi" in rest

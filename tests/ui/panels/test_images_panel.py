@@ -151,17 +151,17 @@ def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive
     missing = np.isnan(result.frame.depth_m)
     assert missing.any() and not images["used"][missing].any()
     cell = panel.cells["depth"]
-    cell.item.render()
+    cell.picture.render()
     for where, alpha in ((missing, 0), (inside, 255)):
         row, column = map(int, np.argwhere(where)[0])
-        assert cell.item.qimage.pixelColor(column, row).alpha() == alpha
+        assert cell.picture.qimage.pixelColor(column, row).alpha() == alpha
     assert cell.text.endswith("mm") and panel.cells["patch"].text.endswith("no")
     # no text is clipped
     hover(graphics_view(panel).viewport(), place_of(panel, "change", 25, 44))
     QApplication.processEvents()
     assert not clipped_labels(panel) and all(label.text() for label in panel.lines)
     for cell in panel.cells.values():
-        assert cell.label.item.boundingRect().width() <= cell.frame.size().width() + 6, cell.text
+        assert cell.label.item.boundingRect().width() <= cell.item.size().width() + 6, cell.text
     assert driver.window.width() == 1280
     # residuals have the colours of the 3-D view in both themes
     cells = opened(driver, "residual", "change", "depth").cells
@@ -170,10 +170,10 @@ def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive
         driver.choose(theme=name)
         colours = cloud.lookup_table.values[:, :3]
         for picture in ("residual", "change"):
-            np.testing.assert_array_equal(cells[picture].item.lut[:, :3], colours)
+            np.testing.assert_array_equal(cells[picture].picture.lut[:, :3], colours)
         assert f"rgb({','.join(map(str, colours[0]))})" in cells["residual"].text
-        middles.add(tuple(cells["residual"].item.lut[128, :3]))
-        assert not np.array_equal(cells["depth"].item.lut[:, :3], colours)
+        middles.add(tuple(cells["residual"].picture.lut[128, :3]))
+        assert not np.array_equal(cells["depth"].picture.lut[:, :3], colours)
     assert len(middles) == 2
     # zooming out is limited
     box, width = cells["depth"].box, cells["depth"].image.shape[1]

@@ -42,7 +42,7 @@ def column(panel, number):
 def test_threshold_line_is_dragged_and_a_hidden_comparison_is_not_computed(drive):
     driver = drive(frame=CONTACT)
     panel, counts = threshold(driver), driver.pipeline.counts
-    line, box = panel.histogram.line, panel.histogram.frame.box
+    line, box = panel.histogram.line, panel.histogram.box
     bars = driver.inspection.kappa_curve.histogram_m2
     np.testing.assert_allclose(panel.histogram.bars.opts["height"], 1e6 * bars)
     driver.window.panels["kappa"].raise_()
@@ -110,7 +110,7 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     assert driver.state.settings.kappa is None
     assert not kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text() == "automatic"
     assert not panel.curve.line.isVisible() and not panel.histogram.line.isVisible()
-    assert panel.curve.frame.text.startswith(f"auto {1e6 * patch.area_m2:.0f} mm²")
+    assert panel.curve.text.startswith(f"auto {1e6 * patch.area_m2:.0f} mm²")
     low, high = (1e6 * area for area in patch.area_interval_m2)
     shown = f"{1e6 * patch.area_m2:.0f} ({low:.0f}…{high:.0f}) mm²"
     assert kappa.area.text() == shown and any(text.endswith(shown) for text in view_texts(driver))
@@ -120,7 +120,7 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     driver.wait(lambda: driver.shows_chosen_kappa() and len(parts()) > 1)
     driver.wait(lambda: panel.table.rowCount() == len(parts()))
     whole, areas = inspection().kappa_curve.area_at(15.0), [part.area_m2 for part in parts()]
-    driver.wait(lambda: panel.curve.frame.text.startswith(f"{1e6 * whole:.0f} mm² at κ"))
+    driver.wait(lambda: panel.curve.text.startswith(f"{1e6 * whole:.0f} mm² at κ"))
     assert sum(areas) == pytest.approx(driver.result.patch.area_m2)
     forces_n = np.array([part.force_n for part in parts()])
     assert column(panel, 1) == [f"{size:.2f} N" for size in np.linalg.norm(forces_n, axis=1)]
@@ -138,7 +138,7 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     assert kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text().endswith("kPa")
     assert kappa.area.text() == f"{1e6 * areas[0]:.0f} mm²"  # the paper's rule knows of no band
     shown = f"{1e6 * areas[0]:.0f} of {1e6 * whole:.0f} mm²"
-    driver.wait(lambda: panel.curve.frame.text.startswith(shown))
+    driver.wait(lambda: panel.curve.text.startswith(shown))
     driver.seek(CONTACT + 1)  # it stays left out
     left = components(driver.pipeline.mesh, driver.result.estimate, driver.result.patch)
     assert left and min(part.area_m2 for part in left) >= driver.state.settings.least_area_m2
@@ -154,7 +154,7 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     driver.wait_until_shown()
     truth, curve = truth_of(press, CONTACT), driver.inspection.kappa_curve
     assert curve.iou[30] == pytest.approx(iou(patch().pixel_mask, truth.patch_mask), abs=0.02)
-    assert "largest IoU" in driver.window.threshold.curve.frame.text
+    assert "largest IoU" in driver.window.threshold.curve.text
     # two settings are measured against it
     driver.choose(kappa=None)
     panel = compare(driver)

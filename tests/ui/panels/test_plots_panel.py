@@ -6,7 +6,6 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
-import pyqtgraph as pg
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QEvent, QPoint, QPointF
@@ -20,7 +19,7 @@ from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.engine.source import CachedSource
 from bubbleviz_ui.model.frame_history import decimated
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text
-from bubbleviz_ui.panels.plot_host import PlotFrame
+from bubbleviz_ui.panels.plot_host import Plot
 from bubbleviz_ui.panels.time_plot import Band
 
 PATCH = frozenset({"estimate", "patch"})
@@ -47,7 +46,7 @@ def place(panel, name, time_s):
 
 
 def plain(panel, name):
-    return re.sub(r"<[^>]*>", "", panel.plots[name].frame.text)
+    return re.sub(r"<[^>]*>", "", panel.plots[name].text)
 
 
 def curve(driver, plot, name, known):
@@ -156,8 +155,8 @@ def test_all_frames_are_analysed_in_the_background_and_missing_ones_break_curves
 def test_band_does_not_fill_gaps_next_to_an_isolated_frame(qapp):
     facts = cast(SourceFacts, SimpleNamespace(times_s=np.arange(10.0), gaps=()))
     values = np.array([0.0, 1.0, 2.0, np.nan, 4.0, np.nan, 6.0, 7.0, np.nan, 9.0])
-    box = pg.ViewBox(enableMenu=False)  # owns its items
-    band = Band(box, "#ffffff")
+    plot = Plot("number")  # owns its items
+    band = Band(plot, "#ffffff")
     band.draw(facts, values, np.full(10, 0.2), (0.0, 9.0))
     path = band.fill.path()
     filled = [t for t in np.arange(0.25, 9.0, 0.5) if path.contains(QPointF(t, t))]
@@ -190,9 +189,9 @@ def test_only_chosen_plots_are_computed_and_their_contents(drive):
     panel = opened(driver, *driver.window.plots.boxes)
     driver.wait(lambda: "mm" in plain(panel, "center"))
     for plot in panel.plots.values():
-        at, words = plot.frame.item.sceneBoundingRect(), plot.frame.label
+        at, words = plot.item.sceneBoundingRect(), plot.label
         width = words.item.boundingRect().width() + words.pos().x()
-        assert width <= at.width() + 8, plot.frame.text
+        assert width <= at.width() + 8, plot.text
         assert plot.box.height() > 40
     assert driver.size == (1280, 800)
     driver.wait(lambda: driver.inspection.kappa_curve is not None)
@@ -356,7 +355,7 @@ def test_height_of_plots_statistics_of_a_range_and_values_at_cursor_and_mouse(dr
 @pytest.mark.parametrize("width", [110, 150, 310, 900])
 @pytest.mark.parametrize("span_s", [0.4, 2.9, 44.0, 700.0])
 def test_time_labels_of_a_plot_do_not_overlap(qtbot, width, span_s):
-    frame = PlotFrame("seconds")
+    frame = Plot("seconds")
     (axis,) = (a for a in frame.item.items if getattr(a, "orientation", "") == "bottom")
     step, _ = axis.tickSpacing(0.0, span_s, width)[0]
     texts = axis.tickStrings(np.arange(0.0, span_s, step), 1.0, step)

@@ -278,17 +278,15 @@ def test_tracking_export_undo_of_reset_and_curves(bench, source, tmp_path, monke
         bench.wait(lambda: no_pending_timers(bench.panel))
         curves = bench.panel.findChild(Curves)
         for curve in (*curves.frames, *curves.iterations):  # lost pose: no value, no curve
-            assert (f" {DASH}<" in curve.frame.text or curve.frame.text.count(" ") == 1) == (
-                frame == 1
-            )
+            assert (f" {DASH}<" in curve.text or curve.text.count(" ") == 1) == (frame == 1)
         for curve in curves.iterations:
-            drawn = curve.line.getOriginalDataset()[1]
+            drawn = curve.curve.getOriginalDataset()[1]
             assert (drawn is None or len(drawn) == 0) == (frame == 1)
     assert [row["status"] for row in session.rows.values()] == ["ok", "lost", "ok", "ok"]
     for curve in curves.frames:
-        drawn = curve.line.getOriginalDataset()[1]
+        drawn = curve.curve.getOriginalDataset()[1]
         assert np.isfinite(drawn).tolist() == [True, False, True, False, True]
-        assert curve.line.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
+        assert curve.curve.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
 
 
 def test_patch_by_the_object_is_shown_with_the_patch_and_follows_the_pose(bench):
@@ -395,10 +393,10 @@ def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_sma
     assert pose is not None and pose.stage_two is not None
     for unit, factor in (("mm", 1e3), ("m", 1.0)):
         bench.state.change(length_unit=unit)
-        bench.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].frame.text)
-        fitness, rmse = (curve.line.getOriginalDataset()[1] for curve in curves.iterations)
+        bench.wait(lambda unit=unit: f" {unit}</span>" in curves.iterations[1].text)
+        fitness, rmse = (curve.curve.getOriginalDataset()[1] for curve in curves.iterations)
         assert fitness[-1] == pytest.approx(100.0 * pose.stage_two.fitness)
         assert rmse[-1] == pytest.approx(factor * pose.stage_two.history[-1, 1])
         for curve, largest in zip(curves.iterations, (100.0, rmse.max()), strict=True):
-            low, high = curve.frame.box.viewRange()[1]
+            low, high = curve.box.viewRange()[1]
             assert low <= 0.0 and low + high == pytest.approx(largest)  # the axis starts at 0

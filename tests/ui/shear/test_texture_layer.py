@@ -79,8 +79,8 @@ def test_colour_image_on_the_membrane_and_in_the_images_panel(drive, sensor):
     QApplication.processEvents()
     driver.wait_until_shown()
     cell = driver.window.images.cells["colour"]
-    cell.item.render()
-    shown = [cell.item.qimage.pixelColor(column, 30).getRgb() for column in (10, 70)]
+    cell.picture.render()
+    shown = [cell.picture.qimage.pixelColor(column, 30).getRgb() for column in (10, 70)]
     assert shown == [(220, 0, 0, 255), (0, 220, 0, 255)]
     driver.window.hover.at_pixel(30, 40)
     assert cell.pixel.getData()[0][0] == 40.5  # aligned cameras: the same pixel

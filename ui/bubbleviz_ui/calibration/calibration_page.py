@@ -10,6 +10,7 @@ from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
+from bubbleviz.calibration import Step
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.registry import Colouring, ImageKind
 from bubbleviz_ui.model.units import DASH, Unit, Units
@@ -27,6 +28,7 @@ class Page(QWidget):
     title = ""
     task = ""  # instruction to the user, one sentence
     sets: tuple[str, ...] = ()  # settings changed on this page
+    step: Step | None = None  # computed when the user proceeds to this page
     next_title = ""  # text of the button that leads to this page
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -42,10 +44,12 @@ class Page(QWidget):
 
     def enter(self) -> None:
         """Compute the step when the user proceeds to this page."""
+        if self.step is not None:
+            self.calibration.reach(self.step, self.next_title)
 
     def is_done(self, answer: Answer) -> bool:
         """Whether an answer contains the results of this step."""
-        raise NotImplementedError
+        return self.step is not None and answer.work.settings.last_step >= self.step
 
     def show_answer(self, answer: Answer) -> None:
         """Show the results of an answer."""
@@ -160,8 +164,8 @@ class ImageView(QWidget):
             colorMapMenu=False,
         )
         self._bar.getAxis("bottom").enableAutoSIPrefix(False)  # "mm (x0.001)"
-        self._bar.setImageItem(self._cell.item)
-        self._host.arrange([self._cell.frame, self._bar])
+        self._bar.setImageItem(self._cell.picture)
+        self._host.arrange([self._cell.item, self._bar])
         self._host.canvas.setFixedHeight(HEIGHT)
         self._host.canvas.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         self._host.canvas.viewport().installEventFilter(ControlInput(self))

@@ -122,6 +122,7 @@ class FramesPage(Page):
     )
     sets = ("ranges",)
     next_title = "Find contact-free frames"
+    step = Step.FRAMES
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -149,16 +150,10 @@ class FramesPage(Page):
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
 
-    def enter(self) -> None:
-        self.calibration.reach(Step.FRAMES, self.next_title)
-
     def set_ranges(self, ranges: Ranges | None, what: str) -> None:
         """Use these ranges, or search them; `what`: the change, for undo."""
         reached = max(self.calibration.settings.last_step, Step.FRAMES)
         self.calibration.edit(what, ranges=ranges, last_step=reached)
-
-    def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.last_step >= Step.FRAMES
 
     def show_answer(self, answer: Answer) -> None:
         ranges, before = self.ranges(answer), self.strip.ranges

@@ -35,6 +35,7 @@ class PixelsPage(Page):
     task = "Check which pixels are used; move the thresholds if good ones are excluded."
     sets = ("min_validity", "deviations")
     next_title = "Measure the pixels"
+    step = Step.PIXELS
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -64,12 +65,6 @@ class PixelsPage(Page):
         self.deviations.changed = lambda v, gesture: calibration.edit(
             "Deviation threshold", gesture, deviations=max(v, 0.1)
         )
-
-    def enter(self) -> None:
-        self.calibration.reach(Step.PIXELS, self.next_title)
-
-    def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.last_step >= Step.PIXELS
 
     def show_answer(self, answer: Answer) -> None:
         settings, found = self.calibration.settings, answer.found
@@ -166,6 +161,7 @@ class SurfacePage(Page):
     task = "Check that the residual looks like noise; otherwise choose another surface."
     sets = ("surface", "nodes")
     next_title = "Fit the surface"
+    step = Step.SURFACE
     # points (k, 3) and values (k,), both in m, for the 3-D view
     painted = Signal(object, object)
 
@@ -194,12 +190,6 @@ class SurfacePage(Page):
             lambda row: calibration.edit("Choose the surface", surface=self.choice.itemData(row))
         )
         self.nodes.valueChanged.connect(lambda n: calibration.edit("Nodes of the mesh", nodes=n))
-
-    def enter(self) -> None:
-        self.calibration.reach(Step.SURFACE, self.next_title)
-
-    def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.last_step >= Step.SURFACE
 
     def show_answer(self, answer: Answer) -> None:
         settings, found = self.calibration.settings, answer.found
@@ -259,18 +249,13 @@ class TensionPage(Page):
     title = "γ0"
     task = "Read γ0 with its interval and the verdict below; the next two steps are optional."
     next_title = "Estimate γ0"
+    step = Step.TENSION
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
         self.view = ImageView()
         self.numbers = NumberForm()
         fill(self.column, self.view, self.numbers, 1)
-
-    def enter(self) -> None:
-        self.calibration.reach(Step.TENSION, self.next_title)
-
-    def is_done(self, answer: Answer) -> bool:
-        return answer.work.settings.last_step >= Step.TENSION
 
     def show_answer(self, answer: Answer) -> None:
         units, found, unit = self.units, answer.found, self.units.tension

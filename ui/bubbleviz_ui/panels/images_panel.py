@@ -22,7 +22,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import menu_button
-from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Part, PlotHost
+from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Cell, Part, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.theme import NODE
@@ -51,7 +51,7 @@ def colour_table(colouring: Colouring, colours: theme.Colours) -> np.ndarray:
     return np.asarray(table)[:, :3]
 
 
-class ImageCell:
+class ImageCell(Cell):
     """An image with a heading and marks.
 
     `head`: Height of the heading, screen pixels.
@@ -60,25 +60,20 @@ class ImageCell:
     def __init__(self, kind: ImageKind, head: float = 2 * HEADING - 3) -> None:
         import pyqtgraph as pg  # 0.2 s later than the window
 
+        super().__init__(head=head)
         self.kind = kind
         self.image: np.ndarray | None = None
         self._range_so_far: tuple[float, float] | None = None
         self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
-        self.item = pg.ImageItem(axisOrder="row-major")
+        self.picture = pg.ImageItem(axisOrder="row-major")
         self.table = colour_table(kind.colouring, theme.DARK)
         self.halo = pg.ScatterPlotItem(size=13, pen=pg.mkPen("k", width=4), brush=None)
         self.pixel = pg.ScatterPlotItem(size=13, pen=pg.mkPen(theme.LINE, width=2), brush=None)
         self.node = pg.ScatterPlotItem(size=9, pen=pg.mkPen(NODE, width=2), symbol="+")
-        for item in (self.item, self.halo, self.pixel, self.node):
+        for item in (self.picture, self.halo, self.pixel, self.node):
             self.box.addItem(item)
-        self.frame: Any = pg.GraphicsLayout()
-        self.frame.layout.setContentsMargins(0, head, 0, 0)
-        self.frame.addItem(self.box, 0, 0)
-        self.label = pg.LabelItem(justify="left", size="9pt")
-        self.label.setParentItem(self.frame)
-        self.label.setPos(0.0, -2.0)
-        self.text = ""
+        self.item.addItem(self.box, 0, 0)
 
     def forget_range(self) -> None:
         """Reset the colour range, for another source."""
@@ -99,19 +94,19 @@ class ImageCell:
         if image is None:
             self.clear()
             lines = [self.kind.title, *textwrap.wrap(why, LINE_LETTERS)]
-            self._write("<br>".join(lines) if why else f"{self.kind.title}: {DASH}")
+            self.write("<br>".join(lines) if why else f"{self.kind.title}: {DASH}")
             return
         low, high = self._range(ends) if scale is None else (-scale, scale)
         unit: Unit | None = getattr(units, self.kind.unit) if self.kind.unit else None
         self.show(image, low, high)
         self._scale = (low, high, unit)
-        self._write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
+        self.write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
 
     def clear(self) -> None:
         """Remove the image."""
         self.image = None
-        self.item.clear()
-        self._write("")
+        self.picture.clear()
+        self.write("")
 
     def show(self, image: np.ndarray, low: float, high: float) -> None:
         """Show an image (H, W) in SI with colours from `low` to `high`."""
@@ -121,12 +116,12 @@ class ImageCell:
         """Draw an image; one of another size is fitted into the view."""
         new = self.image is None or self.image.shape != image.shape
         self.image = image
-        self.item.setImage(drawn, **how)
+        self.picture.setImage(drawn, **how)
         if new:
             height, width = image.shape[:2]
             x, y = PAN_LIMIT * width, PAN_LIMIT * height
             self.box.setLimits(xMin=-x, xMax=width + x, yMin=-y, yMax=height + y)
-            self.box.setRange(self.item.boundingRect(), padding=0.01)
+            self.box.setRange(self.picture.boundingRect(), padding=0.01)
 
     def mark(self, place: Probed | None) -> None:
         """Mark the pixel of a probed place and the projection of its point of the membrane."""
@@ -142,11 +137,12 @@ class ImageCell:
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Apply the theme's colours."""
-        self.table = colour_table(self.kind.colouring, theme.with_text(text))
-        self.item.setLookupTable(self.table)
-        self.label.setAttr("color", text.name())
+        if self.kind.colouring != "colour":
+            self.table = colour_table(self.kind.colouring, theme.with_text(text))
+            self.picture.setLookupTable(self.table)
         if self._scale is not None and self.image is not None:
-            self._write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
+            self.text = f"{self.kind.title}<br>{self.legend(*self._scale)}"
+        super().paint(dim, text)
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:
         """Colour range, which grows with the data and never shrinks."""
@@ -172,10 +168,6 @@ class ImageCell:
         first, last = ends
         return f"{first} {blocks} {last} {unit.symbol}"
 
-    def _write(self, text: str) -> None:
-        self.text = text
-        self.label.setText(text)
-
 
 class ColourCell(ImageCell):
     """An image cell without a scale; shows the reason if there is no image."""
@@ -185,15 +177,10 @@ class ColourCell(ImageCell):
         if seen is None or seen.rgb is None:
             self.clear()
             why = [DASH] if seen is None else textwrap.wrap(seen.reason, LINE_LETTERS)
-            self._write("<br>".join([self.kind.title, *why]))
+            self.write("<br>".join([self.kind.title, *why]))
             return
         self._put(seen.rgb, seen.rgb, autoLevels=False)
-        self._write(self.kind.title)
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's text colour."""
-        self.label.setAttr("color", text.name())
-        self._write(self.text)
+        self.write(self.kind.title)
 
 
 def _digits(span: float) -> int:
@@ -315,7 +302,7 @@ class ImagesPanel(QWidget):
         if self._arranged == [(name, columns) for name in shown]:
             return
         self._arranged = [(name, columns) for name in shown]
-        self._host.arrange([self._cell(name).frame for name in shown], columns)
+        self._host.arrange([self._cell(name).item for name in shown], columns)
 
     def _draw(self) -> None:
         if not self._host.ready:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QColor
 from PySide6.QtWidgets import (
     QCheckBox,
     QDoubleSpinBox,
@@ -28,7 +27,7 @@ from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import force_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
 from bubbleviz_ui.panels.binding import bind, control
-from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
@@ -150,18 +149,12 @@ def _to_kappa(steps: int) -> float:
 # pyqtgraph is imported with the first plot, which saves 0.2 s at start.
 
 
-class KappaAxisPlot:
+class KappaAxisPlot(Plot):
     """A plot over log10 κ."""
 
     def __init__(self, line_width: int = 1) -> None:
-        import pyqtgraph as pg  # not at start
-
-        self.frame = PlotFrame("logarithm")
-        self.box = self.frame.box
-        self.box.setMouseEnabled(x=False, y=False)
-        self.line = pg.InfiniteLine(movable=True)  # At log10 κ
-        self.box.addItem(self.line, ignoreBounds=True)
-        self._line_width = line_width
+        super().__init__("logarithm")
+        self.line = self.add_line(bright=True, width=line_width, movable=True)  # At log10 κ
 
     def set_line(self, kappa: float | None) -> None:
         """Move the line to κ without emitting its signals; hide it if κ is None."""
@@ -170,11 +163,6 @@ class KappaAxisPlot:
             self.line.blockSignals(True)
             self.line.setValue(math.log10(kappa))
             self.line.blockSignals(False)
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's colours."""
-        self.frame.paint(dim, text)
-        self.line.setPen(text, width=self._line_width)
 
 
 def kappa_at(line: Any) -> float:
@@ -204,20 +192,15 @@ class KappaHistogram(KappaAxisPlot):
                 width=0.9 * (edges[1] - edges[0]),
             )
         self.set_line(kappa)
-        self.frame.write(f"Area ({units.area.symbol}) by p_c / mean p_c")
+        self.write(f"Area ({units.area.symbol}) by p_c / mean p_c")
 
 
 class KappaPlot(KappaAxisPlot):
     """Patch area of the frame over κ; also the IoU if the ground truth is known."""
 
     def __init__(self) -> None:
-        import pyqtgraph as pg  # with the first plot
-
         super().__init__()
-        self.curve = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=1))
-        self.iou = pg.PlotDataItem(pen=pg.mkPen(ORANGE, width=1))
-        for item in (self.curve, self.iou):
-            self.box.addItem(item)
+        self.curve, self.iou = self.add_curve(BLUE), self.add_curve(ORANGE)
 
     def draw(
         self, curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
@@ -238,7 +221,7 @@ class KappaPlot(KappaAxisPlot):
                 f' · <span style="color:{ORANGE}">largest IoU {curve.iou[best]:.2f}'
                 f" at κ {curve.kappa[best]:.1f}</span>"
             )
-        self.frame.write(text)
+        self.write(text)
 
 
 def _heading(
@@ -295,7 +278,7 @@ class ThresholdPanel(QWidget):
 
     def _make(self) -> list[Part]:
         self.histogram, self.curve = KappaHistogram(), KappaPlot()
-        self._host.arrange([self.histogram.frame.item, self.curve.frame.item])
+        self._host.arrange([self.histogram.item, self.curve.item])
         self.curve.box.setXLink(self.histogram.box)
         for plot in (self.histogram, self.curve):
             plot.line.sigPositionChangeFinished.connect(self._on_dragged)

@@ -14,10 +14,10 @@ LEAST_HEIGHT = 40
 
 
 class Part(Protocol):
-    """A plot or an image."""
+    """What follows the theme: a plot or an image."""
 
     def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's text colours."""
+        """Apply the theme's colours of secondary text and of text."""
 
 
 def import_plots() -> None:
@@ -110,23 +110,51 @@ TICK_SPACING = 56
 """Smallest distance of time ticks, screen pixels."""
 
 
-class PlotFrame:
+class Cell:
+    """A plot or an image with a heading, in the grid of a `PlotHost`."""
+
+    def __init__(self, left: float = 0.0, head: float = HEADING) -> None:
+        import pyqtgraph as pg  # not at start
+
+        self.item: Any = pg.GraphicsLayout()
+        self.item.layout.setContentsMargins(0, head, 0, 0)
+        self.text = ""  # Heading, as HTML
+        self.label = pg.LabelItem(justify="left", size="9pt")
+        self.label.setParentItem(self.item)
+        self.label.setPos(left, -2.0)
+
+    def write(self, text: str) -> None:
+        """Set the heading."""
+        self.text = text
+        self.label.setText(text)
+
+    def paint(self, dim: QColor, text: QColor) -> None:
+        """Apply the theme's colours of secondary text and of text."""
+        self.label.setAttr("color", text.name())
+        self.write(self.text)
+
+
+class Plot(Cell):
     """A plot of fixed layout with axes, grid and heading.
 
     Built without pyqtgraph's `PlotItem`, which creates a dozen menus that outlive a window.
 
     `below`: Quantity of the bottom axis.
+    `mouse`: Axes along which the mouse moves and zooms it.
     """
 
-    def __init__(self, below: Literal["seconds", "logarithm", "number"]) -> None:
+    def __init__(
+        self, below: Literal["seconds", "logarithm", "number"], *, mouse: str = ""
+    ) -> None:
         import pyqtgraph as pg  # not at start
 
+        super().__init__(LEFT - 6.0)
         self.box = pg.ViewBox(enableMenu=False)  # Holds the curves
+        self.box.setMouseEnabled(x="x" in mouse, y="y" in mouse)
         timed = below == "seconds"
         self._axes = [pg.AxisItem("left"), _seconds() if timed else pg.AxisItem("bottom")]
         self._axes[1].setLogMode(below == "logarithm")
-        self.item = pg.GraphicsLayout()
-        self.item.setContentsMargins(0, HEADING, 4, 0)
+        self._themed: list[tuple[Any, bool, int]] = []  # Item, whether as bright as text, width
         self.item.layout.setSpacing(0)
         self.item.layout.setContentsMargins(0, HEADING, 4, 0)
         self.item.addItem(self._axes[0], 0, 0)
@@ -138,23 +166,49 @@ class PlotFrame:
             axis.setGrid(40)
         self._axes[0].setWidth(LEFT)
         self._axes[1].setHeight(BOTTOM)
-        self.text = ""  # Heading, as HTML
-        self.label = pg.LabelItem(justify="left", size="9pt")
-        self.label.setParentItem(self.item)
-        self.label.setPos(LEFT - 6.0, -2.0)
 
-    def write(self, text: str) -> None:
-        """Set the heading."""
-        self.text = text
-        self.label.setText(text)
+    def add_curve(self, colour: Any = None, *, width: int = 1, **look: Any) -> Any:
+        """Add a curve, broken at NaN; without a colour in that of secondary text.
+
+        `look`: Arguments of pyqtgraph's `mkPen`, or of `PlotDataItem` for symbols.
+        """
+        import pyqtgraph as pg  # not at start
+
+        symbols = {name: look.pop(name) for name in [*look] if name.startswith("symbol")}
+        curve = pg.PlotDataItem(connect="finite", **symbols)
+        self.box.addItem(curve)
+        if colour is None:
+            self._themed.append((curve, False, width))
+        else:
+            curve.setPen(colour, width=width, **look)
+        return curve
+
+    def add_dots(self, size: int, colour: str, *, filled: bool = True) -> Any:
+        """Add points, of a size in px."""
+        import pyqtgraph as pg  # not at start
+
+        brush, pen = (colour, None) if filled else (None, colour)
+        dots = pg.ScatterPlotItem(size=size, brush=brush, pen=pen)
+        self.box.addItem(dots)
+        return dots
+
+    def add_line(self, *, bright: bool = False, width: int = 1, **how: Any) -> Any:
+        """Add a line across the plot, in the colour of text; arguments of `InfiniteLine`."""
+        import pyqtgraph as pg  # not at start
+
+        line = pg.InfiniteLine(**how)
+        self.box.addItem(line, ignoreBounds=True)
+        self._themed.append((line, bright, width))
+        return line
 
     def paint(self, dim: QColor, text: QColor) -> None:
         """Apply the theme's colours."""
+        super().paint(dim, text)
         for axis in self._axes:
             axis.setPen(dim)
             axis.setTextPen(dim)
-        self.label.setAttr("color", text.name())
-        self.write(self.text)
+        for item, bright, width in self._themed:
+            item.setPen(text if bright else dim, width=width)
 
 
 def _seconds() -> Any:

@@ -206,7 +206,7 @@ class PlotsPanel(QWidget):
             return
         self._arranged = wanted
         self._host.canvas.setMinimumHeight(CELL[1] * -(-len(shown) // columns))
-        self._host.arrange([plot.frame.item for plot in shown], columns)
+        self._host.arrange([plot.item for plot in shown], columns)
         timed = [plot for plot in shown if isinstance(plot, TimePlot)]
         for plot in timed[1:]:
             plot.box.setXLink(timed[0].box)

@@ -17,7 +17,7 @@ from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, FrameHis
 from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.panels.plot_host import PlotFrame
+from bubbleviz_ui.panels.plot_host import Plot
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
 
@@ -90,35 +90,21 @@ TRACES = MappingProxyType(
 """Plots over time by name."""
 
 
-class TimePlot:
+class TimePlot(Plot):
     """Curves of some quantities over time."""
 
     def __init__(self, trace: Trace) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
-
+        super().__init__("seconds", mouse="x")
         self.trace = trace
         self._history: FrameHistory | None = None
-        self.frame = PlotFrame("seconds")
-        self.box = self.frame.box
-        self.box.setMouseEnabled(x=True, y=False)
         self.box.enableAutoRange(y=True)
         self.box.setAutoVisible(y=True)
-        self.curves = {
-            name: pg.PlotDataItem(pen=pg.mkPen(colour, width=1), connect="finite")
-            for name, colour in trace.curves.items()
-        }
-        # Isolated frames, which no line shows, by quantity
-        self.dots = {
-            name: pg.ScatterPlotItem(size=4, brush=colour, pen=None)
-            for name, colour in trace.curves.items()
-        }
-        # By quantity
-        self.bands = {name: Band(self.box, trace.curves[name]) for name in trace.bands}
-        self.cursor = pg.InfiniteLine(movable=True)  # Can be dragged
+        # bands, curves, dots: By quantity; dots of isolated frames, which no line shows
+        self.bands = {name: Band(self, trace.curves[name]) for name in trace.bands}
+        self.curves = {name: self.add_curve(colour) for name, colour in trace.curves.items()}
+        self.dots = {name: self.add_dots(4, colour) for name, colour in trace.curves.items()}
+        self.cursor = self.add_line(bright=True, movable=True)  # Can be dragged
         self.other_curves: dict[str, Any] = {}  # Those of another recording, once there is one
-        for item in (*self.curves.values(), *self.dots.values()):
-            self.box.addItem(item)
-        self.box.addItem(self.cursor, ignoreBounds=True)
 
     def draw(self, facts: SourceFacts, history: FrameHistory, units: Units) -> None:
         """Draw all known values, in the chosen unit."""
@@ -137,8 +123,6 @@ class TimePlot:
 
     def draw_other(self, other: AlignedRun | None, units: Units) -> None:
         """Draw the curves of another recording dashed, or none."""
-        import pyqtgraph as pg  # 0.2 s later than the window
-
         if other is None:
             for curve in self.other_curves.values():
                 curve.clear()
@@ -146,9 +130,7 @@ class TimePlot:
         scale, window_s = self.trace.unit(units).from_si(1.0), self.box.viewRange()[0]
         for name, colour in self.trace.curves.items():
             if name not in self.other_curves:
-                pen = pg.mkPen(colour, style=Qt.PenStyle.DashLine)
-                self.other_curves[name] = pg.PlotDataItem(pen=pen, connect="finite")
-                self.box.addItem(self.other_curves[name])
+                self.other_curves[name] = self.add_curve(colour, style=Qt.PenStyle.DashLine)
             times, values = decimated(other.times_s, other.history.quantity(name), window_s)
             self.other_curves[name].setData(times, values * scale)
 
@@ -167,11 +149,11 @@ class TimePlot:
         self.cursor.setValue(time_s)
         self.cursor.blockSignals(False)
         title = self.trace.short or self.trace.title
-        self.frame.write(f"{title}: {self._numbers(frame, units)}")
+        self.write(f"{title}: {self._numbers(frame, units)}")
 
     def show_hovered(self, frame: int, time_s: float, units: Units) -> None:
         """Show the values of the frame under the mouse."""
-        self.frame.write(f"at {units.time.text(time_s)}: {self._numbers(frame, units)}")
+        self.write(f"at {units.time.text(time_s)}: {self._numbers(frame, units)}")
 
     def _numbers(self, frame: int, units: Units) -> str:
         """Values of all curves at a frame, in their colours, and the unit."""
@@ -191,11 +173,6 @@ class TimePlot:
     def _at(self, name: str, frame: int) -> float:
         return math.nan if self._history is None else float(self._history.quantity(name)[frame])
 
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's colours."""
-        self.frame.paint(dim, text)
-        self.cursor.setPen(text)
-
     @property
     def data(self) -> dict[str, tuple[Any, Any]]:
         """Times in s and values in the chosen unit of each curve, as drawn."""
@@ -205,18 +182,15 @@ class TimePlot:
 class Band:
     """The 95 % interval around a curve."""
 
-    def __init__(self, box: Any, colour: str) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
-
+    def __init__(self, plot: Plot, colour: str) -> None:
         shade = QColor(colour)
         shade.setAlpha(70)
-        self.low, self.high = (pg.PlotDataItem(pen=shade, connect="finite") for _ in range(2))
+        self.low, self.high = (plot.add_curve(shade) for _ in range(2))
         # FillBetweenItem would fill gaps next to an isolated frame
         self.fill = QGraphicsPathItem()
         self.fill.setBrush(shade)
         self.fill.setPen(Qt.PenStyle.NoPen)
-        for item in (self.low, self.high, self.fill):
-            box.addItem(item)
+        plot.box.addItem(self.fill)
 
     def draw(
         self,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from PySide6.QtCore import QPointF
-from PySide6.QtGui import QColor
 
 from bubbleviz_ui.model.frame_history import MEASURED_FORCE, FrameHistory
 from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.plot_host import PlotFrame
+from bubbleviz_ui.panels.plot_host import Plot
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 DOT, RING = 4, 9
@@ -18,21 +17,14 @@ REACH = 8.0
 """Largest distance of a click from the middle of its point, px."""
 
 
-class WrenchPlot:
+class WrenchPlot(Plot):
     """Each computed frame as a point; on the line both forces are equal."""
 
     def __init__(self) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
-
-        self.frame = PlotFrame("number")
-        self.box = self.frame.box
-        self.dots = pg.ScatterPlotItem(size=DOT, brush=BLUE, pen=None)
-        self.here = pg.ScatterPlotItem(size=RING, brush=None, pen=ORANGE)
+        super().__init__("number", mouse="xy")
+        self.add_line(angle=45)
+        self.dots, self.here = self.add_dots(DOT, BLUE), self.add_dots(RING, ORANGE, filled=False)
         self._forces = np.empty((2, 0))  # (2, F), measured and estimated, as drawn
-        self._equal = pg.InfiniteLine(angle=45)
-        self.box.addItem(self._equal, ignoreBounds=True)
-        for item in (self.dots, self.here):
-            self.box.addItem(item)
 
     def draw(self, history: FrameHistory, units: Units) -> None:
         """Draw the frames with both forces, in the chosen unit."""
@@ -43,7 +35,7 @@ class WrenchPlot:
         self.dots.setData(measured[both], estimated[both])
         self._forces = np.where(both, [measured, estimated], np.nan)
         note = "" if np.isfinite(measured).any() else ": no wrench measured"
-        self.frame.write(f"{PLOTS['wrench'].title} ({unit.symbol}){note}")
+        self.write(f"{PLOTS['wrench'].title} ({unit.symbol}){note}")
 
     def show_cursor(self, frame: int) -> None:
         """Mark a frame, if it has both forces."""
@@ -58,8 +50,3 @@ class WrenchPlot:
         if not squares.size or squares.sum(axis=0).min() > REACH**2:
             return None
         return int(squares.sum(axis=0).argmin())
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's colours."""
-        self.frame.paint(dim, text)
-        self._equal.setPen(dim)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtGui import QColor, QDragEnterEvent, QDropEvent, QGuiApplication
+from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -29,7 +29,7 @@ from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import bind_membership, control
-from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
 from bubbleviz_ui.shell.dock import fill, push_button
@@ -65,7 +65,7 @@ class Curves(PlotHost):
     def _fill(self) -> list[Part]:
         self.iterations, self.frames = _pair("number"), _pair("seconds")
         every = [*self.iterations, *self.frames]
-        self.arrange([curve.frame.item for curve in every], columns=2)
+        self.arrange([curve.item for curve in every], columns=2)
         return list(every)
 
     def draw_iterations(self, one: np.ndarray, two: np.ndarray) -> None:
@@ -99,7 +99,7 @@ def _pair(below: Below) -> tuple[Curve, Curve]:
     return Curve("fitness", BLUE, below, top=1.0), Curve("rmse", ORANGE, below)
 
 
-class Curve:
+class Curve(Plot):
     """One quantity from 0, with its last value in the heading.
 
     `below`: Quantity of the bottom axis.
@@ -107,36 +107,23 @@ class Curve:
     """
 
     def __init__(self, name: str, colour: str, below: Below, top: float | None = None) -> None:
-        import pyqtgraph as pg  # not at start
-
+        super().__init__(below)
         self._name, self._colour, self._top = name, colour, top
-        self.frame = PlotFrame(below)
-        self.frame.box.setMouseEnabled(x=False, y=False)
-        self.line = pg.PlotDataItem(
-            pen=pg.mkPen(colour, width=1), connect="finite",
-            symbolSize=4, symbolBrush=colour, symbolPen=None,
-        )  # fmt: skip
-        self.change = pg.InfiniteLine()
-        self.frame.box.addItem(self.line)
-        self.frame.box.addItem(self.change, ignoreBounds=True)
+        self.curve = self.add_curve(colour, symbolSize=4, symbolBrush=colour, symbolPen=None)
+        self.change = self.add_line()
 
     def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
         """Draw values (k,) in SI, NaN if missing, with a line at the start of stage two."""
         symbol = "o" if isolated(values).any() else None
-        self.line.setData(x, unit.from_si(1.0) * values, symbol=symbol)
+        self.curve.setData(x, unit.from_si(1.0) * values, symbol=symbol)
         top = self._top or float(np.nanmax(values, initial=0.0))
         if top > 0.0:
-            self.frame.box.setYRange(0.0, unit.from_si(top), padding=0.05)
+            self.box.setYRange(0.0, unit.from_si(top), padding=0.05)
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
         last = f" {unit.text(float(values[-1]))}" if len(values) else ""
-        self.frame.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's colours."""
-        self.frame.paint(dim, dim)
-        self.change.setPen(dim)
+        self.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
 
 
 # Boxes for the initial pose.

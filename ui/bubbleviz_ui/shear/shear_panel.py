@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from PySide6.QtGui import QColor, QGuiApplication
+from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import (
     QFormLayout,
     QHBoxLayout,
@@ -20,7 +20,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.binding import control, form
-from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.theme import BLUE
@@ -40,32 +40,22 @@ class ShearPlot(PlotHost):
         self.setToolTip("Tangential force along x and y of the bubble frame, with its 95 % region")
 
     def _fill(self) -> list[Part]:
-        import pyqtgraph as pg  # not at start
-
-        self._frame = PlotFrame("number")
-        self._frame.box.setMouseEnabled(x=False, y=False)
-        self._frame.box.setAspectLocked(True)
-        self.force = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=2))
-        self.outline = pg.PlotDataItem(pen=pg.mkPen(BLUE, width=1))
-        for item in (self.force, self.outline):
-            self._frame.box.addItem(item)
-        self.arrange([self._frame.item])
-        return [self]
+        self._plot = Plot("number")
+        self._plot.box.setAspectLocked(True)
+        self.force, self.outline = (self._plot.add_curve(BLUE, width=k) for k in (2, 1))
+        self.arrange([self._plot.item])
+        return [self._plot]
 
     def draw(self, ellipse: ShearEllipse | None, unit: Unit) -> None:
         """Draw a force in a unit; None: no force."""
         if not self.ready:
             return
-        self._frame.write(f"Tangential force, y over x, {unit.symbol}")
+        self._plot.write(f"Tangential force, y over x, {unit.symbol}")
         for item, points in (
             (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
             (self.outline, None if ellipse is None else ellipse.outline_n),
         ):
             item.setData(unit.from_si(1.0) * (np.empty((0, 2)) if points is None else points))
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's colours."""
-        self._frame.paint(dim, text)
 
 
 # Texts of force with friction, and of slip; ± is half of the 95 % interval.

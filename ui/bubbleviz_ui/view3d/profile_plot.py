@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics import profile
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.plot_host import Part, PlotFrame, PlotHost
+from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
@@ -53,22 +52,13 @@ class ProfilePlot(QWidget):
         self._opened = opened
 
     def _make(self) -> list[Part]:
-        import pyqtgraph as pg  # not at start
-
-        self.above, self.below = PlotFrame("number"), PlotFrame("number")
-        self.membrane, self.contact = (pg.PlotDataItem(pen=pg.mkPen(BLUE)) for _ in range(2))
-        self.rest = pg.PlotDataItem()
-        self.measured = pg.ScatterPlotItem(size=DOT, pen=None, brush=ORANGE)
-        for item in (self.rest, self.measured, self.membrane):
-            self.above.box.addItem(item)
-        self.below.box.addItem(self.contact)
+        self.above, self.below = Plot("number", mouse="xy"), Plot("number", mouse="xy")
+        self.rest = self.above.add_curve()
+        self.measured = self.above.add_dots(DOT, ORANGE)
+        self.membrane, self.contact = self.above.add_curve(BLUE), self.below.add_curve(BLUE)
         self.below.box.setXLink(self.above.box)
         self._host.arrange([self.above.item, self.below.item])
-        return [self.above, self.below, self]
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        """Apply the theme's colours."""
-        self.rest.setPen(dim)
+        return [self.above, self.below]
 
     def _draw(self, _: Any = None) -> None:
         opened, result = self._opened, self._controller.result
