@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import QEvent, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QRectF, Qt, Signal
 from PySide6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QApplication,
@@ -75,10 +75,6 @@ class RangeStrip(QWidget):
     def x_at(self, frame: int) -> float:
         """Horizontal position of a frame, screen pixels."""
         return MARGIN + float(self._axis.places[frame]) * (self.width() - 2 * MARGIN)
-
-    def sizeHint(self) -> QSize:
-        """Fixed height."""
-        return QSize(200, HEIGHT)
 
     def event(self, event: QEvent) -> bool:
         """Claim the keys that move an end before the playback shortcuts."""

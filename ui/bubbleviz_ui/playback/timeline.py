@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import chain, count
 
 import numpy as np
-from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, QSize, Qt, Signal
+from PySide6.QtCore import QEvent, QLineF, QPointF, QRectF, Qt, Signal
 from PySide6.QtGui import (
     QBrush,
     QColor,
@@ -71,10 +71,6 @@ class Timeline(QWidget):
     def frame_at(self, x: float) -> int:
         """Frame nearest to a position."""
         return int(self._axis.nearest((x - MARGIN) / self._span))
-
-    def sizeHint(self) -> QSize:
-        """Fixed height, any width."""
-        return QSize(300, RULER + BAND)
 
     # -- mouse --------------------------------------------------------------------------------
 

@@ -48,48 +48,6 @@ class Value:
     interval: str = ""
     source_key: str = ""
 
-    def unit_in(self, units: Units) -> Unit:
-        """Its displayed unit."""
-        unit = getattr(units, self.unit) if self.unit else DIMENSIONLESS
-        assert isinstance(unit, Unit)
-        return unit
-
-    def number(self, sensor: Sensor) -> float | None:
-        """The number, SI; None if not in the file."""
-        number: float | None = attrgetter(self.key)(sensor)
-        return number
-
-    def text(self, sensor: Sensor, units: Units) -> str:
-        """The number with its unit."""
-        number = self.number(sensor)
-        return NOT_IN_FILE if number is None else self.unit_in(units).text(number).rstrip()
-
-    def interval_text(self, sensor: Sensor, units: Units) -> str:
-        """95 % interval, or empty."""
-        unit = self.unit_in(units)
-        ends = getattr(sensor.calibration, self.interval, None) if self.interval else None
-        if ends is None:
-            return ""
-        return unit.between(*ends).rstrip()
-
-    def origin(self, sensor: Sensor) -> str:
-        """Origin of the number, or empty."""
-        source_key = getattr(sensor.calibration, self.source_key, None) if self.source_key else None
-        return f"from {source_key}" if source_key else ""
-
-    def written(self, sensor: Sensor) -> str:
-        """The number in the unit of the file."""
-        number = self.number(sensor)
-        return "" if number is None else str(number)
-
-    @staticmethod
-    def read(text: str) -> float | str | None:
-        """Parse a number; invalid text is returned unchanged."""
-        try:
-            return float(text) if text.strip() else None
-        except ValueError:
-            return text
-
 
 VALUES = (
     Value("pneumatics.gauge_pressure_pa", "Gauge pressure", "Gas pressure above the atmosphere, "
@@ -158,18 +116,27 @@ class ValueRow(QWidget):
 
     def show_value(self, sensor: Sensor, *, editing: bool) -> None:
         """Show the number of a sensor, or a box to edit it."""
-        self.shown.setText(self.value.text(sensor, self._units))
-        self.interval.setText(self.value.interval_text(sensor, self._units))
-        self.interval.setToolTip(self.value.origin(sensor))
+        value, known = self.value, sensor.calibration
+        unit = getattr(self._units, value.unit) if value.unit else DIMENSIONLESS
+        number = attrgetter(value.key)(sensor)
+        ends = getattr(known, value.interval, None) if value.interval else None
+        origin = getattr(known, value.source_key, None) if value.source_key else None
+        self.shown.setText(NOT_IN_FILE if number is None else unit.text(number).rstrip())
+        self.interval.setText("" if ends is None else unit.between(*ends).rstrip())
+        self.interval.setToolTip(f"from {origin}" if origin else "")
         if not editing:
-            self.box.setText(self.value.written(sensor))
+            self.box.setText("" if number is None else str(number))
         for widget in (self.box, self.unit):
             widget.setVisible(editing)
         self.shown.setVisible(not editing)
 
     def read(self) -> float | str | None:
         """The number in the box, SI; invalid text is returned unchanged."""
-        return self.value.read(self.box.text())
+        text = self.box.text()
+        try:
+            return float(text) if text.strip() else None
+        except ValueError:
+            return text
 
 
 class SensorPanel(QWidget):

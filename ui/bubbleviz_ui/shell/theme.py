@@ -82,47 +82,29 @@ class Colours:
     doubtful: str
 
 
-DARK = Colours(
-    view="#191d22",
-    cloud="#cfd6de",
-    rim="#c3ccd6",
-    frustum="#7f8b99",
-    window="#23282e",
-    field="#171a1e",
-    text="#e6ebf0",
-    dim="#98a3af",
-    disabled="#7d8792",
-    accent="#4c9fe8",
-    on_accent="#0b1118",
-    outline="#66717e",
-    error="#5a2b2b",
-    warning="#4a3d1e",
-    free="#3d4c5c",
-    marker="#f2c14e",
-    good="#4cc38a",
-    usable="#e5b567",
-    doubtful="#f07178",
-)
-LIGHT = Colours(
-    view="#f2f4f7",
-    cloud="#38424d",
-    rim="#4a5561",
-    frustum="#7f8b99",
-    window="#eceff3",
-    field="#ffffff",
-    text="#161b21",
-    dim="#55606c",
-    disabled="#757f89",
-    accent="#1560b3",
-    on_accent="#ffffff",
-    outline="#7b8794",
-    error="#f9d9d7",
-    warning="#fbeecb",
-    free="#a9bccf",
-    marker="#b07a00",
-    good="#15803d",
-    usable="#9a6200",
-    doubtful="#c2303a",
+_DARK_AND_LIGHT = {
+    "view": ("#191d22", "#f2f4f7"),
+    "cloud": ("#cfd6de", "#38424d"),
+    "rim": ("#c3ccd6", "#4a5561"),
+    "frustum": ("#7f8b99", "#7f8b99"),
+    "window": ("#23282e", "#eceff3"),
+    "field": ("#171a1e", "#ffffff"),
+    "text": ("#e6ebf0", "#161b21"),
+    "dim": ("#98a3af", "#55606c"),
+    "disabled": ("#7d8792", "#757f89"),
+    "accent": ("#4c9fe8", "#1560b3"),
+    "on_accent": ("#0b1118", "#ffffff"),
+    "outline": ("#66717e", "#7b8794"),
+    "error": ("#5a2b2b", "#f9d9d7"),
+    "warning": ("#4a3d1e", "#fbeecb"),
+    "free": ("#3d4c5c", "#a9bccf"),
+    "marker": ("#f2c14e", "#b07a00"),
+    "good": ("#4cc38a", "#15803d"),
+    "usable": ("#e5b567", "#9a6200"),
+    "doubtful": ("#f07178", "#c2303a"),
+}
+DARK, LIGHT = (
+    Colours(**{name: both[k] for name, both in _DARK_AND_LIGHT.items()}) for k in range(2)
 )
 
 
