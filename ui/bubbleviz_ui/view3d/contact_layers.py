@@ -27,7 +27,7 @@ from bubbleviz_ui.view3d.layer import (
     light_without_highlights,
 )
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, text_at, text_size, wrap
+from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, set_colour, text_at, text_size, wrap
 
 
 class MembraneLayer(Layer):
@@ -69,11 +69,6 @@ class MembraneLayer(Layer):
         if picture.settings.colour_map != self._map:
             self._map = picture.settings.colour_map
             self._table.values = pressure_colours(self._map)
-
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide the surface and its bar."""
-        super().set_visible(visible)
-        self._bar.set_visible(visible)
 
 
 class WireframeLayer(Layer):
@@ -284,24 +279,22 @@ class ReadoutLayer(Layer):
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._head = _text_actor(canvas.view)
-        self._rest = _text_actor(canvas.view)
-        self._alarm = _text_actor(canvas.view, theme.UNTRUSTED)
-        self.actors += [self._head, self._rest, self._alarm]
-        self._details = ""
+        self._head, self._rest = _text_actor(canvas.view), _text_actor(canvas.view)
+        self.actors += [self._head, self._rest]
+        self._details, self._doubtful = "", False
         canvas.view.rendering.connect(self._fit)
 
     def draw(self, picture: Picture) -> None:
         """Update the text."""
-        head, rest = readout(picture.result, self.canvas.units, final=picture.final)
-        doubtful = picture.result.estimate is not None and not picture.result.estimate.trusted
-        self._head.SetInput("" if doubtful else head)
-        self._alarm.SetInput(head if doubtful else "")
-        self._details = rest
+        result, view = picture.result, self.canvas.view
+        head, self._details = readout(result, self.canvas.units, final=picture.final)
+        self._doubtful = result.estimate is not None and not result.estimate.trusted
+        self._head.SetInput(head)
+        set_colour(self._head, theme.UNTRUSTED if self._doubtful else theme.of(view).text)
 
     def set_outdated(self, outdated: bool) -> None:
         """Dim the text while the live source sends no new frames."""
-        for actor in (self._head, self._rest, self._alarm):
+        for actor in (self._head, self._rest):
             actor.GetTextProperty().SetOpacity(OUTDATED_OPACITY if outdated else 1.0)
 
     def _fit(self) -> None:
@@ -309,18 +302,16 @@ class ReadoutLayer(Layer):
         height = self.canvas.view.size_px[1]
         share = min(1.0, max(SMALLEST, height / TALL))
         head, rest, top = share * HEAD, share * REST, 1.0 - share * TOP / height
-        for text in (self._head, self._alarm):
-            _put(text, head, top)
-            size = head * min(1.0, self._width_ratio(text))
-            _put(text, size, top)
-            rest = min(rest, size)
-        _put(self._rest, rest, 1.0 - share * (TOP + BELOW) / height)
+        _put(self._head, head, top)
+        head *= min(1.0, self._width_ratio(self._head))
+        _put(self._head, head, top)
+        _put(self._rest, min(rest, head), 1.0 - share * (TOP + BELOW) / height)
         self._rest.SetInput(self._details)
         if self._width_ratio(self._rest) < 1.0:
             lines = self._details.replace("\n", SEPARATOR).split(SEPARATOR)
             self._rest.SetInput("\n".join(map(self._wrapped, lines)))
         tall = share * (TOP + BELOW) + text_size(self.canvas.view, self._rest)[1]
-        if tall > MOST * height and not self._alarm.GetInput():  # whose details are the reason
+        if tall > MOST * height and not self._doubtful:  # else they are the reason
             self._rest.SetInput("")
 
     def _wrapped(self, line: str) -> str:
@@ -367,8 +358,8 @@ def _put(text: Any, size: float, top: float) -> None:
     text.GetPositionCoordinate().SetValue(LEFT, top)
 
 
-def _text_actor(view: View, colour: str | None = None) -> Any:
-    actor = text_at(view, REST, (LEFT, 1.0), colour)
+def _text_actor(view: View) -> Any:
+    actor = text_at(view, REST, (LEFT, 1.0))
     actor.GetTextProperty().SetVerticalJustificationToTop()
     view.renderer.AddViewProp(actor)
     return actor

@@ -169,8 +169,10 @@ class Layer:
         """Draw a result in place; called only while the layer is visible."""
 
     def set_visible(self, visible: bool) -> None:
-        """Show or hide."""
+        """Show or hide, with the colour bar."""
         self._visible = visible
+        if self.bar is not None:
+            self.bar.set_visible(visible)
         self._update()
 
     def _set_drawn(self, something: bool) -> None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyvista as pv
@@ -34,11 +34,6 @@ from bubbleviz.errors import InputError
 from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.view3d import render_view as direct_swap
-
-if TYPE_CHECKING:
-    from PySide6.QtOpenGLWidgets import QOpenGLWidget
-
 
 # Render quality, depending on the renderer: a GPU, or the CPU that also solves.
 
@@ -65,7 +60,7 @@ class RenderQuality:
     samples: int  # Multisampling per pixel; 0: off
     round_points: bool  # Points are shaded spheres instead of flat squares
     cloud_decimation: int  # While playing, every n-th point of the cloud is drawn
-    own_swap: bool  # The view swaps its own buffers, see `direct_swap`, instead of Qt
+    own_swap: bool  # The view swaps its own buffers, see `View._draw`, instead of Qt
     renderer: str = ""  # OpenGL name of the renderer; empty if unknown
 
     @property
@@ -123,6 +118,12 @@ def renderer_name() -> str:
     return str(name or "")
 
 
+PLATFORMS = frozenset({"xcb"})
+"""Qt platforms on which native child windows were tested."""
+
+_LEQUAL, _BACK, _SCISSOR_TEST, _COLOR_BUFFER_BIT, _NEAREST = 0x0203, 0x0405, 0x0C11, 0x4000, 0x2600
+_READ_FRAMEBUFFER, _DRAW_FRAMEBUFFER, _COLOR_ATTACHMENT0 = 0x8CA8, 0x8CA9, 0x8CE0
+
 POINTS_PER_INCH = 72
 """Resolution at which a font size is a number of pixels."""
 CLICK = 3.0
@@ -149,8 +150,11 @@ class View(QtInteractor):  # type: ignore[misc]
     def __init__(self, parent: QWidget, quality: RenderQuality) -> None:
         super().__init__(parent, auto_update=False, multi_samples=quality.samples, lighting="none")
         self.quality = quality
-        if quality.own_swap:
-            direct_swap.prepare(self)
+        if quality.own_swap and QGuiApplication.platformName() in PLATFORMS:
+            # a native window for the view alone, before it is created
+            QGuiApplication.setAttribute(Qt.ApplicationAttribute.AA_DontCreateNativeWidgetSiblings)
+            self.setAttribute(Qt.WidgetAttribute.WA_DontCreateNativeAncestors)
+            self.setAttribute(Qt.WidgetAttribute.WA_NativeWindow)
         self.render_rate = RateMeter()
         self.render_count = 0
         self.pointer_props: list[Any] = []  # Follow the mouse; hidden in saved pictures
@@ -235,21 +239,47 @@ class View(QtInteractor):  # type: ignore[misc]
         self.busy_s += time.perf_counter() - start
 
     def _draw(self) -> None:
-        """Render and swap buffers directly, or through Qt if that is not possible."""
-        window = self.ren_win
-        if not (direct_swap.can_show(self) and window.GetReadyForRendering()):
+        """Render and swap buffers directly, or through Qt if that is not possible.
+
+        Qt composes a window with an OpenGL widget completely for every picture, which without a GPU
+        takes longer than rendering. A widget with a native window can be swapped alone.
+        """
+        window, own = self.ren_win, self.windowHandle()
+        native = self.testAttribute(Qt.WidgetAttribute.WA_NativeWindow)
+        exposed = native and own is not None and own.isExposed()
+        if not (exposed and self.context() is not None and window.GetReadyForRendering()):
             self.update()
             return
         start = time.perf_counter()
         self.makeCurrent()
         self._in_paint = True  # else pyvistaqt would ask Qt to repaint
-        direct_swap.render(window)
+        state = window.GetState()  # which Qt may have changed
+        state.Reset()
+        state.Push()
+        state.vtkglDepthFunc(_LEQUAL)
+        window.Render()
+        state.Pop()
         self._in_paint = False
-        direct_swap.show(self, window)
+        self._swap()
         self._newer_than_qt = True
         self.doneCurrent()
         self.busy_s += time.perf_counter() - start
         self._on_screen()
+
+    def _swap(self) -> None:
+        """Copy VTK's picture to the native window."""
+        context, window = self.context(), self.windowHandle()
+        context.makeCurrent(window)
+        gl = context.extraFunctions()  # VTK's own blit would make its off-screen surface current
+        picture = self.ren_win.GetDisplayFramebuffer().GetFBOIndex()
+        gl.glBindFramebuffer(_READ_FRAMEBUFFER, picture)
+        gl.glReadBuffer(_COLOR_ATTACHMENT0)
+        gl.glBindFramebuffer(_DRAW_FRAMEBUFFER, 0)
+        gl.glDrawBuffers(1, [_BACK])
+        gl.glDisable(_SCISSOR_TEST)
+        area = (0, 0, *self.ren_win.GetSize())
+        gl.glBlitFramebuffer(*area, *area, _COLOR_BUFFER_BIT, _NEAREST)
+        context.swapBuffers(window)
 
     def close(self) -> None:
         """Release VTK's render window and all observers that would keep it alive."""
@@ -370,61 +400,3 @@ class View(QtInteractor):  # type: ignore[misc]
             self.ren_win.Render()
         else:
             self.refresh()
-
-
-# Direct buffer swap of the 3-D view, without Qt composing the window.
-#
-# Qt composes a window with an OpenGL widget completely for every picture, which without a GPU takes
-# longer than rendering. A widget with a native window can be swapped alone.
-
-
-PLATFORMS = frozenset({"xcb"})
-"""Qt platforms on which native child windows were tested."""
-
-_LEQUAL, _BACK, _SCISSOR_TEST, _COLOR_BUFFER_BIT, _NEAREST = 0x0203, 0x0405, 0x0C11, 0x4000, 0x2600
-_READ_FRAMEBUFFER, _DRAW_FRAMEBUFFER, _COLOR_ATTACHMENT0 = 0x8CA8, 0x8CA9, 0x8CE0
-
-
-def prepare(widget: QOpenGLWidget) -> None:
-    """Give only this widget a native window, before it is created."""
-    if QGuiApplication.platformName() in PLATFORMS:
-        QGuiApplication.setAttribute(Qt.ApplicationAttribute.AA_DontCreateNativeWidgetSiblings)
-        widget.setAttribute(Qt.WidgetAttribute.WA_DontCreateNativeAncestors)
-        widget.setAttribute(Qt.WidgetAttribute.WA_NativeWindow)
-
-
-def can_show(widget: QOpenGLWidget) -> bool:
-    """Whether the widget has a visible native window and Qt has painted it once."""
-    if not widget.testAttribute(Qt.WidgetAttribute.WA_NativeWindow) or widget.context() is None:
-        return False
-    window = widget.windowHandle()
-    return window is not None and window.isExposed()
-
-
-def render(render_window: Any) -> None:
-    """Render with VTK in the current OpenGL context, whose state Qt may have changed."""
-    state = render_window.GetState()
-    state.Reset()
-    state.Push()
-    state.vtkglDepthFunc(_LEQUAL)
-    render_window.Render()
-    state.Pop()
-
-
-def show(widget: QOpenGLWidget, render_window: Any) -> None:
-    """Show VTK's rendered picture on the screen.
-
-    `widget`: With `can_show` true.
-    `render_window`: Rendered in the widget's context.
-    """
-    context, window = widget.context(), widget.windowHandle()
-    context.makeCurrent(window)
-    gl = context.extraFunctions()  # VTK's own blit would make its off-screen surface current
-    gl.glBindFramebuffer(_READ_FRAMEBUFFER, render_window.GetDisplayFramebuffer().GetFBOIndex())
-    gl.glReadBuffer(_COLOR_ATTACHMENT0)
-    gl.glBindFramebuffer(_DRAW_FRAMEBUFFER, 0)
-    gl.glDrawBuffers(1, [_BACK])
-    gl.glDisable(_SCISSOR_TEST)
-    width, height = render_window.GetSize()
-    gl.glBlitFramebuffer(0, 0, width, height, 0, 0, width, height, _COLOR_BUFFER_BIT, _NEAREST)
-    context.swapBuffers(window)

@@ -236,11 +236,6 @@ class CloudLayer(Layer):
         self._set_drawn(True)
         self._bar.set_visible(self._visible and by_residual)
 
-    def set_visible(self, visible: bool) -> None:
-        """Show or hide the points and their bar."""
-        super().set_visible(visible)
-        self._bar.set_visible(visible)
-
     def _take_colours(self, colours: theme.Colours) -> None:
         self._plain = colours.cloud
         self._table.values = residual_colours(colours.cloud)

@@ -26,25 +26,24 @@ OPACITY = 0.7
 """Of the text background, which keeps text readable over the membrane."""
 
 
-def text_at(
-    view: View, size: int, place: tuple[float, float], colour: str | None = None
-) -> vtkTextActor:
+def text_at(view: View, size: int, place: tuple[float, float]) -> vtkTextActor:
     """Text actor at a position in shares of the view; not added to the view."""
     actor = vtkTextActor()
-    set_text_style(view, actor.GetTextProperty(), size, colour)
+    set_text_style(view, actor.GetTextProperty(), size)
     actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     actor.GetPositionCoordinate().SetValue(*place)
     return actor
 
 
+def set_colour(text: vtkTextActor, colour: str) -> None:
+    """Set the colour of a text until the theme changes."""
+    text.GetTextProperty().SetColor(*(c / 255 for c in rgb(colour)))
+
+
 def set_text_style(
-    view: View,
-    style: Any,
-    size: int,
-    colour: str | None = None,
-    ground: Literal["view", "field"] = "view",
+    view: View, style: Any, size: int, ground: Literal["view", "field"] = "view"
 ) -> None:
-    """Set font, size in pixels and colour of a vtkTextProperty; by default the theme's colour.
+    """Set font and size in pixels of a vtkTextProperty; its colours follow the theme.
 
     `ground`: Background colour of the theme.
     """
@@ -57,7 +56,7 @@ def set_text_style(
     style.SetBackgroundOpacity(OPACITY)
 
     def paint(colours: theme.Colours) -> None:
-        style.SetColor(*(c / 255 for c in rgb(colour or colours.text)))
+        style.SetColor(*(c / 255 for c in rgb(colours.text)))
         style.SetBackgroundColor(*(c / 255 for c in rgb(getattr(colours, ground))))
 
     view.follow_theme(paint)
