@@ -143,11 +143,11 @@ def panels(session: WindowSession, folder: Path, theme: str) -> None:
         picture(session, folder / f"{name}-{theme}.png", SMALL)
     window = session.window
     for show, kind, name in (
-        (window.show_performance, PerformancePopup, "costs"),
-        (window.show_export, ExportDialog, "export"),
-        (window.show_import, ImportDialog, "import"),
-        (window.show_palette, CommandPalette, "palette"),
-        (window.show_shortcuts, ShortcutsDialog, "shortcuts"),
+        (window.menus.show_performance, PerformancePopup, "costs"),
+        (window.menus.show_export, ExportDialog, "export"),
+        (window.menus.show_import, ImportDialog, "import"),
+        (window.menus.show_palette, CommandPalette, "palette"),
+        (window.menus.show_shortcuts, ShortcutsDialog, "shortcuts"),
     ):
         show()
         pop_up(session, kind, folder / f"{name}-{theme}.png")
@@ -175,7 +175,7 @@ def import_images(session: WindowSession) -> None:
         images.mkdir()
         for k in range(3):
             np.save(images / f"{k}.npy", np.full((24, 32), 0.1))
-        session.window.show_import()
+        session.window.menus.show_import()
         (dialog,) = session.window.findChildren(ImportDialog)
         dialog.source.line.setText(str(images))
         dialog.images.timing.setCurrentText(RATE)

@@ -222,7 +222,7 @@ def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path)
 
 def test_real_press_opens_with_its_preset_and_shows_contact_at_the_poker(drive, punyo_press):
     driver = drive()
-    driver.window.open_file(punyo_press)
+    driver.window.files.open(punyo_press)
     driver.wait(lambda: driver.state.facts.frames == 90)
     driver.state.set_playing(False)
     assert driver.window.controller.sensor.camera.width == 640

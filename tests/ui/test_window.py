@@ -248,7 +248,7 @@ def test_errors_of_files_and_frames_are_shown_until_another_file_opens(drive, tm
     (tmp_path / "broken.mcap").write_bytes(b"not a recording")
     for bad in (tmp_path / "missing.mcap", tmp_path / "broken.mcap", tmp_path / "missing.toml"):
         message.hide()
-        driver.window.open_file(bad)
+        driver.window.files.open(bad)
         driver.wait(message.isVisible)
         assert bad.name in message.label.text()
     assert driver.window.windowTitle() == title
@@ -270,9 +270,9 @@ def test_errors_of_files_and_frames_are_shown_until_another_file_opens(drive, tm
     message = driver.window.message
     for bad in (tmp_path / "one.mcap", tmp_path / "two.mcap"):
         bad.write_text("text")
-        driver.window.open_file(bad)
+        driver.window.files.open(bad)
         driver.wait(lambda bad=bad: bad.name in message.label.text())
-    driver.window.open_file(cut)
+    driver.window.files.open(cut)
     driver.wait(lambda: message.kind.text() == "Warning")
     assert "ends early" in message.label.text() and not message.more.isVisible()
     # an unreadable frame stops playback

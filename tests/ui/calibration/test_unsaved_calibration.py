@@ -55,7 +55,7 @@ def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor,
     assert not used.folder.exists()
     folder.rename(tmp_path / "theirs")
     other = drive()
-    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
+    other.window.files.open(tmp_path / "theirs" / "look.bubbleviz")
     other.wait(lambda: other.state.facts.title == "rest.mcap")
     other.wait_until_shown()
     theirs = other.window.controller.sensor
@@ -73,10 +73,10 @@ def test_identification_survives_close_and_another_recording_asks_to_save_it(
     bench.wait(lambda: bench.state.facts.is_empty)
     assert bench.answer is answer and panel.verdict.isVisible()
     assert not panel.strip.isVisible()  # its recording is not open
-    window.open_file(folder / "rest.mcap")
+    window.files.open(folder / "rest.mcap")
     bench.wait(lambda: bench.state.facts.title == "rest.mcap")
     assert bench.answer is answer and panel.strip.isVisible()
-    other, out = partial(window.open_file, folder / "other.mcap"), folder / "mine.toml"
+    other, out = partial(window.files.open, folder / "other.mcap"), folder / "mine.toml"
 
     def refused(button, file):
         """Answer the question, or its dialog; the current source stays open."""
@@ -103,14 +103,14 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     other = drive(Source.of_recording(folder / "other.mcap"))
     other.state.change(layers=frozenset({"rim"}))
     other.window.session_saver.save_as(folder / "look.bubbleviz")
-    other.window.open_file(folder / "rest.mcap")
+    other.window.files.open(folder / "rest.mcap")
     other.wait(lambda: other.state.facts.title == "rest.mcap")
     bench = Bench(other)
     bench.identify()
     window, state = bench.window, bench.state
     before = state.settings, window.open_panels.names, state.facts
     samples = weakref.ref(bench.answer.found.samples)  # a hundred MB of a large camera
-    look = partial(window.open_file, folder / "look.bubbleviz")
+    look = partial(window.files.open, folder / "look.bubbleviz")
     assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
     bench.wait_until_shown()
     assert (state.settings, window.open_panels.names, state.facts) == before
@@ -136,5 +136,5 @@ def test_no_question_about_a_saved_identification(drive, folder, monkeypatch):
     bench.click(bench.panel.report.save_as)
     bench.wait(lambda: "– mine (" in bench.window.windowTitle())  # and opened again from its file
     assert "not saved" not in bench.window.windowTitle()
-    bench.window.open_file(folder / "other.mcap")
+    bench.window.files.open(folder / "other.mcap")
     bench.wait(lambda: bench.state.facts.title == "other.mcap")

@@ -19,7 +19,6 @@ from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import save_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
-from bubbleviz_ui import main_window
 from bubbleviz_ui.engine.source import SYNTHETIC, Source
 from bubbleviz_ui.window_session import Startup, window_session
 
@@ -69,7 +68,7 @@ def test_ground_truth_is_saved_in_the_session_and_markers_are_on_the_timeline(
     assert float(values["iou"].text()) > 0.5
     driver.window.session_saver.save_as(files / "look.bubbleviz")
     other = drive()
-    other.window.open_file(files / "look.bubbleviz")
+    other.window.files.open(files / "look.bubbleviz")
     other.wait(lambda: other.state.facts.frames == FRAMES)
     other.window.panels["threshold"].raise_()  # above Compare
     other.wait(lambda: says_iou(other))
@@ -170,7 +169,7 @@ def test_the_solver_thread_hands_a_sensor_of_another_camera_back(
     drive, sensor, tmp_path, monkeypatch
 ):
     """It counts once its answer was delivered, whatever the solver thread does meanwhile."""
-    monkeypatch.setattr(main_window, "file_to_open", lambda *_, **__: None)
+    monkeypatch.setattr("bubbleviz_ui.files.file_to_open", lambda *_, **__: None)
     file, recording = own_camera(sensor, tmp_path)
     opening = drive(DentSource).window.controller.opening
     requests = []
@@ -198,7 +197,7 @@ def test_recording_of_an_own_camera_takes_its_sensor_file_in_any_order(
         asked.append((title, proposed))
         return proposed
 
-    monkeypatch.setattr(main_window, "file_to_open", choose)
+    monkeypatch.setattr("bubbleviz_ui.files.file_to_open", choose)
     driver = drive(DentSource)
     name = lambda: driver.window.controller.sensor.name  # noqa: E731
     driver.drop(file)

@@ -167,6 +167,6 @@ def test_cancelled_import_leaves_no_file(bench, images, monkeypatch):
     bench.click(dialog.cancel)
     assert not dialog.cancel.isVisible() and dialog.begin.isEnabled()
     go_on.set()
-    bench.window.importing.close()
+    bench.window.menus.importing.close()
     assert sorted(images.parent.rglob("*")) == before
     assert not dialog.made.text() and not dialog.problem.text()

@@ -104,7 +104,7 @@ def test_dialog_reports_a_rejected_certificate_lists_topics_and_connects_two_sen
 
 def test_source_argument_and_sensor_of_each_kind_of_source(open_bench, tmp_path, monkeypatch):
     bench = open_bench()
-    bench.window.show_connect()
+    bench.window.menus.show_connect()
     dialog = bench.window.findChild(ConnectDialog)
     dialog.kind.setFocus()
     for kind in KINDS:

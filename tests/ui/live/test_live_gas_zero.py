@@ -20,7 +20,7 @@ def counts(live):
 
 def with_gauge(live, gauge_pa):
     """Open a sensor file with another gauge pressure."""
-    live.window.open_file(Path(sensor_file(live.folder, "other", gauge_pressure_pa=gauge_pa)))
+    live.window.files.open(Path(sensor_file(live.folder, "other", gauge_pressure_pa=gauge_pa)))
     live.wait(lambda: live.pipeline.model.sensor.pneumatics.gauge_pressure_pa == gauge_pa)
     live.wait_for_frames(5)
 

@@ -225,7 +225,7 @@ def test_both_sensors_use_the_scale_of_the_colour_bar_and_untrusted_results_thei
     bench.state.freeze(True)
     bench.wait_for_redraw()
     file = Path(sensor_file(bench.folder, "softer", gauge_pressure_pa=1500.0))
-    bench.window.open_file(file)
+    bench.window.files.open(file)
     bench.wait(lambda: "softer.toml" in bench.window.windowTitle())
     bench.wait_for_redraw()
     assert all(len(set(ends)) == 1 for ends in seen), seen

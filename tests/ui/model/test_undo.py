@@ -208,7 +208,7 @@ def test_undo_of_panels_scenes_objects_and_compared_settings(drive, tmp_path, mo
     driver.wait_until_shown()
     for name in ("cylinder", "frustum"):
         shutil.copy(presets_folder("objects") / f"{name}.ply", tmp_path)
-        driver.window.open_file(tmp_path / f"{name}.ply")
+        driver.window.files.open(tmp_path / f"{name}.ply")
         driver.wait(lambda name=name: driver.window.pose.session.obj is not None
                     and driver.window.pose.session.obj.name == name)  # fmt: skip
     assert stack.index() == 3

@@ -87,7 +87,7 @@ def test_session_file_restores_elsewhere_with_or_without_its_recording(drive, fi
     theirs = tmp_path / "elsewhere"
     shutil.copytree(files, theirs)
     other = drive()
-    other.window.open_file(theirs / "look.bubbleviz")
+    other.window.files.open(theirs / "look.bubbleviz")
     check(other)
     assert not other.window.message.isVisible()
     assert other.state.settings.theme == "system"  # their own setting is kept
@@ -98,7 +98,7 @@ def test_session_file_restores_elsewhere_with_or_without_its_recording(drive, fi
     other.state.change(kappa=None)
     other.show("layers")
     other.seek(5)
-    other.window.open_file(tmp_path / "alone.bubbleviz")
+    other.window.files.open(tmp_path / "alone.bubbleviz")
     message = other.window.message
     assert message.isVisible()
     assert "press.mcap is missing" in message.label.text()
@@ -146,14 +146,14 @@ def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, tmp_pa
     choices = {**saved.choices, "publish_at": "tcp/0.0.0.0:7448", "record_folder": "/"}
     crafted = saved.model_copy(update={"choices": choices})
     (tmp_path / "b.bubbleviz").write_text(crafted.model_dump_json())
-    driver.window.open_file(tmp_path / "b.bubbleviz")
+    driver.window.files.open(tmp_path / "b.bubbleviz")
     assert driver.state.settings.publish_at.startswith("tcp/127.0.0.1")
     assert driver.window.live_controller.publishing.endpoint.startswith("tcp/127.0.0.1")
     assert driver.state.settings.record_folder is None
     # an invalid file gives a message
     bad = tmp_path / "bad.bubbleviz"
     bad.write_text("not json")
-    driver.window.open_file(bad)
+    driver.window.files.open(bad)
     assert driver.window.message.isVisible() and "bad.bubbleviz" in driver.message_text
     # recent files and reload
     driver.window.message.hide()

@@ -63,7 +63,7 @@ def test_session_keeps_object_initial_pose_and_tracking_and_reports_a_missing_ob
 ):
     mine = drive()
     open_press(mine, files)
-    mine.window.open_file(files / "stamp.ply")
+    mine.window.files.open(files / "stamp.ply")
     pose = mine.window.pose
     mine.wait(lambda: pose.session.obj is not None)
     for box, value in zip(pose.start.places, (4.0, 1.0, 45.0), strict=True):
@@ -73,7 +73,7 @@ def test_session_keeps_object_initial_pose_and_tracking_and_reports_a_missing_ob
     assert str(files) not in (files / "look.bubbleviz").read_text()
     shutil.move(files, tmp_path / "theirs")
     other = drive()
-    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
+    other.window.files.open(tmp_path / "theirs" / "look.bubbleviz")
     theirs = other.window.pose
     other.wait(lambda: other.state.facts.frames == FRAMES and theirs.session.obj is not None)
     assert theirs.session.obj.name == "stamp"
@@ -85,7 +85,7 @@ def test_session_keeps_object_initial_pose_and_tracking_and_reports_a_missing_ob
     # a missing object gives a message
     (tmp_path / "theirs" / "stamp.ply").unlink()
     other.seek(3)
-    other.window.open_file(tmp_path / "theirs" / "look.bubbleviz")
+    other.window.files.open(tmp_path / "theirs" / "look.bubbleviz")
     other.wait(other.window.message.isVisible)
     assert "stamp.ply is missing; the rest is restored" in other.message_text
     other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
@@ -168,14 +168,14 @@ def test_robot_that_is_not_running_yet_is_awaited(qtbot, files, tmp_path):
         bar = session.window.live
         session.wait_for(bar.isVisible, "the bar")
         assert session.controller.result is not None  # the built-in press in the meantime
-        session.window.open_file(files / "dome.toml")  # another sensor, same source
+        session.window.files.open(files / "dome.toml")  # another sensor, same source
         session.wait_for(lambda: session.controller.sensor.file == "dome.toml", "the sensor")
         bar.leave.click()
         assert not bar.isVisible()
     assert read_user_file(config).session.live == robot
     with start(config) as session:
         session.wait_for(session.window.live.isVisible, "the bar")
-        session.window.open_file(files / "press.mcap")
+        session.window.files.open(files / "press.mcap")
         session.wait_for(lambda: session.state.facts.frames == FRAMES, "the recording")
         assert session.window.live_controller.connection is None  # will not replace it
         assert not session.window.live.isVisible()

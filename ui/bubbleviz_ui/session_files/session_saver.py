@@ -7,7 +7,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pydantic import BaseModel
 from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, Qt, QTimer, Signal
@@ -21,6 +20,7 @@ from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import USER_SETTINGS
 from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.session_files.session_file import (
     MAX_RECENT,
     SavedCamera,
@@ -44,9 +44,6 @@ from bubbleviz_ui.shell.dock import Dock
 from bubbleviz_ui.shell.file_dialogs import ask_yes_no
 from bubbleviz_ui.view3d.render_view import View
 
-if TYPE_CHECKING:
-    from bubbleviz_ui.main_window import MainWindow
-
 EVERY_MS = 3000
 """Period of autosaving."""
 SOURCE_FIELDS = (
@@ -63,13 +60,13 @@ def user_file() -> Path:
 
 
 class SessionSaver(QObject):
-    """Session files of one window."""
+    """Session files of one window; `keys` returns the changed ones by action."""
 
     recent_changed = Signal()
 
-    def __init__(self, window: MainWindow) -> None:
+    def __init__(self, window: PanelWindow, keys: Callable[[], dict[str, str]]) -> None:
         super().__init__(window)
-        self._window = window
+        self._window, self._keys = window, keys
         self.recent: tuple[str, ...] = ()  # Recent files, newest first
         self.hinted = False  # The first-run hint was read
         self._opened: Opened | None = None
@@ -151,7 +148,7 @@ class SessionSaver(QObject):
             geometry=_base64(self._window.saveGeometry()),
             layout=_base64(self._window.saveState()),
             tabbed_sides=tuple(str(side.name) for side in window.tabs.made),
-            shortcuts=window.shortcuts.changed,
+            shortcuts=self._keys(),
         )
         absent = self._absent
         if absent is None:

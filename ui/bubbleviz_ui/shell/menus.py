@@ -14,30 +14,29 @@ from PySide6.QtWidgets import QDockWidget, QInputDialog, QMenu, QMessageBox
 from vtkmodules.vtkCommonCore import vtkVersion
 
 import bubbleviz
-from bubbleviz.files import SESSION_SUFFIX, preset_names
+from bubbleviz.files import pages_folder, preset_names
 from bubbleviz.wording import count_of
-from bubbleviz_ui.engine.source import RECORDINGS
+from bubbleviz_ui.engine.worker import Worker
+from bubbleviz_ui.export.export_dialog import ExportDialog
+from bubbleviz_ui.files import Files
 from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import UNIT_CHOICES
+from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
+from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.playback.playback_panel import next_speed
-from bubbleviz_ui.shell.file_dialogs import (
-    SENSOR_FILES,
-    file_to_open,
-    file_to_save,
-    files_to_open,
-    folder_to_open,
-    name_of_output,
-)
-from bubbleviz_ui.shell.shortcuts import DYNAMIC
+from bubbleviz_ui.session_files.session_file import name_of
+from bubbleviz_ui.session_files.session_saver import SessionSaver
+from bubbleviz_ui.shell.command_palette import CommandPalette
+from bubbleviz_ui.shell.shortcuts import DYNAMIC, Shortcuts, ShortcutsDialog
 from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 
 if TYPE_CHECKING:
-    from bubbleviz_ui.main_window import MainWindow
+    from bubbleviz_ui.importing.import_dialog import ImportDialog
 
 SO_FAR_NONE = "{} in the frames computed so far"
 ANALYSE = "; run Analyse all frames to search the others"
@@ -45,38 +44,137 @@ SO_FAR = (
     "Largest force of the frames computed so far; {} not yet computed. Run Analyse all frames to "
     "include them"
 )
-SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
 
 
-class Menus:
-    """Actions of the menu bar; they only call the window and the model."""
+class Menus(QObject):
+    """Actions of the menu bar, their keys, and the dialogs that they open."""
 
-    def __init__(self, window: MainWindow) -> None:
-        self._window, self._saver, bar = window, window.session_saver, window.menuBar()
+    def __init__(self, window: PanelWindow, saver: SessionSaver, files: Files) -> None:
+        super().__init__(window)
+        self._window, self._saver, self._files, bar = window, saver, files, window.menuBar()
+        self.importing = Worker("import")
+        self._export: ExportDialog | None = None
+        self._import: ImportDialog | None = None
         self._file(bar.addMenu("&File"))
         self._edit(bar.addMenu("&Edit"))
         self._playback(bar.addMenu("&Playback"))
         self._live(bar.addMenu("&Live"))
         self._view(bar.addMenu("&View"))
         self._help(bar.addMenu("&Help"))
+        self.shortcuts = Shortcuts(bar)
+        window.message.open_requested.connect(self.show_messages)
+        window.status.clicked.connect(self.show_performance)
+
+    def close(self) -> None:
+        """Stop an import."""
+        self.importing.cancel()
+        self.importing.close()
+
+    # -- dialogs ------------------------------------------------------------------------------
+
+    def show_performance(self) -> None:
+        """Show the run time of each stage."""
+        window = self._window
+        popup = PerformancePopup(
+            window, window.state, window.controller, window.stage_times, window.view
+        )
+        popup.open_over(window.status)
+
+    def show_messages(self) -> None:
+        """Show all messages of this session."""
+        from bubbleviz_ui.shell.text_dialogs import MessagesDialog  # not at start
+
+        MessagesDialog(self._window, self._window.messages).show()
+
+    def show_information(self) -> None:
+        """Show the contents of the open recording."""
+        from bubbleviz_ui.shell.text_dialogs import InformationDialog  # not at start
+
+        InformationDialog(self._window, self._window.controller, self._window.reading).open()
+
+    def show_contacts(self) -> None:
+        """Show a list of all contacts."""
+        from bubbleviz_ui.playback.contacts_dialog import ContactsDialog  # not at start
+
+        ContactsDialog(self._window, self._window.state).show()
+
+    def show_pages(self) -> None:
+        """Show the documentation."""
+        from bubbleviz_ui.shell.text_dialogs import PagesDialog  # not at start
+
+        PagesDialog(self._window, pages_folder()).show()
+
+    def show_palette(self) -> None:
+        """Show the command palette."""
+        CommandPalette(self._window, self.shortcuts).open_over(self._window)
+
+    def show_connect(self) -> None:
+        """Open the dialog for live sources."""
+        # imports every kind of source: not at start
+        from bubbleviz_ui.live.connect_dialog import ConnectDialog
+
+        window = self._window
+        sensor, facts = window.controller.sensor, window.state.facts
+        # that of a simulation says nothing about the camera to connect
+        unknown = facts is None or facts.simulated
+        name = None if sensor is None or unknown else name_of(sensor)
+        ConnectDialog(window, window.live_controller, name).open()
+
+    def show_export(self) -> None:
+        """Open the export dialog."""
+        if self._export is None:
+            self._export = ExportDialog(self._window, self._window.state, self._window.exporting)
+        self._export.show_all()
+        self._export.show()
+        self._export.raise_()
+
+    def show_import(self) -> None:
+        """Open the dialog that converts images or other recordings."""
+        window = self._window
+        if self._import is None:
+            # imports readers of every kind of recording: not at start
+            from bubbleviz_ui.importing.import_dialog import ImportDialog
+
+            self._import = ImportDialog(
+                window,
+                self.importing,
+                window.messages,
+                window.controller.opening.open_recording,
+                lambda: window.live_controller.recording.folder,
+            )
+        self._import.show()
+        self._import.raise_()
+
+    def show_shortcuts(self) -> None:
+        """Show the keyboard shortcuts."""
+        ShortcutsDialog(self._window, self.shortcuts).open()
+
+    def show_settings(self) -> None:
+        """Show the settings."""
+        from bubbleviz_ui.shell.settings_dialog import SettingsDialog  # not at start
+
+        SettingsDialog(self._window, self._window.state, self._window.undo_recorder).show()
+
+    # -- menus --------------------------------------------------------------------------------
 
     def _file(self, menu: QMenu) -> None:
-        self._add(menu, "&Open recording…", self._open_recording, QKeySequence.StandardKey.Open)
-        self._add(menu, "Open recording &folder…", self._open_folder, "Ctrl+Shift+O")
-        self._add(menu, "Open &sensor…", self._open_sensor, "Ctrl+E")
-        self._add(menu, "Open ground &truth…", self._open_truth)
+        files = self._files
+        self._add(menu, "&Open recording…", files.choose_recordings, QKeySequence.StandardKey.Open)
+        self._add(menu, "Open recording &folder…", files.choose_folder, "Ctrl+Shift+O")
+        self._add(menu, "Open &sensor…", files.choose_sensor, "Ctrl+E")
+        self._add(menu, "Open ground &truth…", files.choose_truth)
         self._recent(menu.addMenu("Open &recent"))
         menu.addMenu(DepthTopicMenu(self._window, menu))
         self._add(menu, "Re&load", self._saver.reload, "F5")
-        self._add(menu, "Infor&mation…", self._window.show_information, "Alt+Return")
-        self._add(menu, "&Close", self._close, "Ctrl+W")
+        self._add(menu, "Infor&mation…", self.show_information, "Alt+Return")
+        self._add(menu, "&Close", files.close, "Ctrl+W")
         menu.addSeparator()
-        self._add(menu, "Open sess&ion…", self._open_session, "Ctrl+Shift+S")
-        self._add(menu, "&Save session as…", self._save_session, "Ctrl+S")
+        self._add(menu, "Open sess&ion…", files.choose_session, "Ctrl+Shift+S")
+        self._add(menu, "&Save session as…", files.save_session, "Ctrl+S")
         menu.addSeparator()
-        self._add(menu, "I&mport…", self._window.show_import, "Ctrl+Shift+I")
-        self._add(menu, "&Export…", self._window.show_export, "Ctrl+Shift+E")
-        self._add(menu, "S&creenshot…", self._screenshot, "Ctrl+P")
+        self._add(menu, "I&mport…", self.show_import, "Ctrl+Shift+I")
+        self._add(menu, "&Export…", self.show_export, "Ctrl+Shift+E")
+        self._add(menu, "S&creenshot…", files.save_screenshot, "Ctrl+P")
         menu.addSeparator()
         self._add(menu, "&Quit", self._window.close, "Ctrl+Q")
 
@@ -86,20 +184,20 @@ class Menus:
         def fill() -> None:
             menu.clear()
             for path in self._saver.recent:
-                menu.addAction(path).triggered.connect(partial(self._window.open_file, Path(path)))
+                menu.addAction(path).triggered.connect(partial(self._files.open, Path(path)))
             menu.setEnabled(bool(self._saver.recent))
 
         self._saver.recent_changed.connect(fill)
         fill()
 
     def _help(self, menu: QMenu) -> None:
-        palette = self._add(menu, "&Command palette…", self._window.show_palette)
+        palette = self._add(menu, "&Command palette…", self.show_palette)
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
-        self._add(menu, "&Performance", self._window.show_performance, "Ctrl+I")
-        self._add(menu, "&Messages…", self._window.show_messages)
-        self._add(menu, "&Documentation…", self._window.show_pages, "F1")
+        self._add(menu, "&Performance", self.show_performance, "Ctrl+I")
+        self._add(menu, "&Messages…", self.show_messages)
+        self._add(menu, "&Documentation…", self.show_pages, "F1")
         self._add(menu, "&First steps", self._window.hint.show)
-        self._add(menu, "&Keyboard shortcuts…", self._window.show_shortcuts, "Ctrl+?")
+        self._add(menu, "&Keyboard shortcuts…", self.show_shortcuts, "Ctrl+?")
         self._add(menu, "&About bubbleviz…", self._show_about)
 
     def _show_about(self) -> None:
@@ -122,7 +220,7 @@ class Menus:
         redo.setShortcut("Ctrl+Shift+Z")
         menu.addActions([undo, redo])
         menu.addSeparator()
-        self._add(menu, "&Settings…", self._window.show_settings, "Ctrl+,")
+        self._add(menu, "&Settings…", self.show_settings, "Ctrl+,")
 
     def _playback(self, menu: QMenu) -> None:
         state = self._window.state
@@ -147,7 +245,7 @@ class Menus:
                 seek = partial(self._seek_start, kind, direction)
                 self._add(menu, title.format(which), seek, key + end)
         self._add(menu, "Largest force", self._seek_largest_force, "Ctrl+Home")
-        self._add(menu, "&Contacts…", self._window.show_contacts)
+        self._add(menu, "&Contacts…", self.show_contacts)
         self._add(menu, "Analyse all frames", self._window.controller.analysis.start)
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
@@ -181,7 +279,7 @@ class Menus:
 
     def _live(self, menu: QMenu) -> None:
         window, live = self._window, self._window.live_controller
-        self._add(menu, "&Connect…", window.show_connect, "Ctrl+L")
+        self._add(menu, "&Connect…", self.show_connect, "Ctrl+L")
         self._add(menu, "&Disconnect", live.disconnect_all, "Ctrl+Shift+L")
         menu.addSeparator()
         CheckMark(
@@ -349,57 +447,11 @@ class Menus:
         if chosen:
             state.change(publish_at=endpoint.strip() or LOOPBACK)
 
-    def _open_recording(self) -> None:
-        folder = self._window.live_controller.recording.folder
-        title = "Open recording"
-        paths = files_to_open(self._window, title, RECORDINGS, of="recording", by_default=folder)
-        if paths:
-            self._window.open_recordings(paths)
-
-    def _open_folder(self) -> None:
-        path = folder_to_open(self._window, "Open recording folder", of="recording")
-        if path is not None:
-            self._window.controller.opening.open_recording(path)
-
-    def _open_sensor(self) -> None:
-        path = file_to_open(self._window, "Open sensor", SENSOR_FILES, of="sensor")
-        if path is not None:
-            self._window.controller.opening.open_sensor_file(path)
-
-    def _open_truth(self) -> None:
-        kinds = "Ground truth (*.npz);;All files (*)"
-        path = file_to_open(self._window, "Open ground truth", kinds, of="recording")
-        if path is not None:
-            self._window.controller.opening.use_ground_truth(path)
-
-    def _close(self) -> None:
-        """Close the recording or the live source; a running recording is completed."""
-        self._window.live_controller.disconnect_all()
-        self._window.controller.opening.close_source()
-
-    def _open_session(self) -> None:
-        path = file_to_open(self._window, "Open session", SESSIONS, of="session")
-        if path is not None:
-            self._saver.open(path)
-
-    def _save_session(self) -> None:
-        proposed = name_of_output(self._window.state.title, f"session{SESSION_SUFFIX}")
-        path = file_to_save(self._window, "Save session as", proposed, SESSIONS, of="session")
-        if path is not None:
-            self._saver.save_as(path)
-
-    def _screenshot(self) -> None:
-        kinds = "PNG images (*.png)"
-        proposed = name_of_output(self._window.state.title, "window.png")
-        path = file_to_save(self._window, "Save screenshot", proposed, kinds, of="picture")
-        if path is not None:
-            self._window.save_screenshot(path)
-
 
 class DepthTopicMenu(QMenu):
     """Topics of a recording of several depth cameras, to open it by another one."""
 
-    def __init__(self, window: MainWindow, parent: QMenu) -> None:
+    def __init__(self, window: PanelWindow, parent: QMenu) -> None:
         super().__init__("Depth to&pic", parent)
         self.setProperty(DYNAMIC, True)
         self._opening = window.controller.opening

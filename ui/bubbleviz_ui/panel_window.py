@@ -1,0 +1,463 @@
+"""Window with the 3-D view and all panels, connected to the model and arranged in any size."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PySide6.QtCore import QEvent, QSize, Qt, QTimer
+from PySide6.QtGui import (
+    QCloseEvent,
+    QDragEnterEvent,
+    QDropEvent,
+    QResizeEvent,
+    QUndoStack,
+)
+from PySide6.QtWidgets import QApplication, QLayout, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
+
+from bubbleviz.result import Result
+from bubbleviz_ui.calibration.calibration_panel import CalibrationPanel
+from bubbleviz_ui.calibration.calibration_session import Calibration
+from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.solver import Opened
+from bubbleviz_ui.engine.upkeep import MemoryRelease
+from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.export.exporting import Exporting
+from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
+from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.model.demand import StageTimes
+from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKind, UserMessage
+from bubbleviz_ui.model.registry import PANELS
+from bubbleviz_ui.model.scene_presets import ScenePreset
+from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.settings import PATCH_SETTINGS, PLAYBACK_SETTINGS
+from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.undo import UndoRecorder
+from bubbleviz_ui.model.units import UNIT_CHOICES
+from bubbleviz_ui.panels.binding import watch_controls
+from bubbleviz_ui.panels.compare_panel import ComparePanel
+from bubbleviz_ui.panels.images_panel import ImagesPanel
+from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
+from bubbleviz_ui.panels.plot_host import PlotHost, import_plots
+from bubbleviz_ui.panels.plots_panel import PlotsPanel
+from bubbleviz_ui.panels.second_membrane import SecondMembrane
+from bubbleviz_ui.panels.status_bar import StatusBar
+from bubbleviz_ui.playback.playback_panel import PlaybackPanel
+from bubbleviz_ui.pose.pose_overlay import PoseOverlay
+from bubbleviz_ui.pose.pose_panel import PosePanel
+from bubbleviz_ui.pose.pose_session import PoseSession
+from bubbleviz_ui.sensor.sensor_panel import SensorPanel, title_text
+from bubbleviz_ui.session_files.session_file import name_of
+from bubbleviz_ui.shear.shear_panel import ShearPanel
+from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.dock import Dock, OpenPanels, TabsForRoom, column, fill, scrolled
+from bubbleviz_ui.shell.file_dialogs import (
+    picture_format,
+    remember,
+    remember_sensor,
+    tell_of_picture,
+)
+from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
+from bubbleviz_ui.view3d.layers_panel import LayersPanel
+from bubbleviz_ui.view3d.pointing import Pointing
+from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View
+from bubbleviz_ui.view3d.scene import Scene
+from bubbleviz_ui.view3d.view_tools_panel import ViewTools
+
+SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
+"""Initial size of the window, and the largest frame of a window manager, px."""
+NARROW = 1000
+"""Below this width, px, the timeline is placed below the panels."""
+IMAGES_BESIDE_VIEW = 1200
+"""Below this width, px, the images panel is a tab of the plots panel."""
+RATES_EVERY_MS = 500
+PLOTS_AFTER_S = 2.0
+"""Time after the first source is open when the plotting library is imported, in a thread."""
+UNDO_STEPS = 200
+"""Limited because some steps hold collected frames."""
+NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme", "panels", "plots", "images"}
+"""Settings whose change does not redraw the 3-D view; it follows the theme by its palette."""
+SIDES = {
+    "right": Qt.DockWidgetArea.RightDockWidgetArea,
+    "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
+    "left": Qt.DockWidgetArea.LeftDockWidgetArea,
+}
+
+
+class PanelWindow(QMainWindow):
+    """The 3-D view, the bars above it, and the panels in docks.
+
+    `quality`: Render quality of the 3-D view.
+    """
+
+    def __init__(
+        self, state: SessionState, controller: Controller, quality: RenderQuality = FAST
+    ) -> None:
+        super().__init__()
+        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        self.setWindowTitle("bubbleviz")
+        self.setAcceptDrops(True)
+        self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
+        self.state = state
+        self.controller = controller  # Closed with the window
+        self.messages = state.messages
+        self.message = MessageBar(self)
+        self.notice = NoticeBar(self.menuBar())
+        self.busy = BusyBar(self)
+        self.hint = HintBar(self)
+        self.view = View(self, quality)
+        state.cloud_decimation = quality.cloud_decimation
+        self.scene = Scene(self.view, state)
+        self.status = StatusBar(state.units)
+        self.layers = LayersPanel(state)
+        self.kappa = KappaPanel(state)
+        self.playback = PlaybackPanel(state)
+        self.threshold = ThresholdPanel(state, controller)
+        self.compare = ComparePanel(state, controller)
+        self.plots = PlotsPanel(state, controller)
+        self.hover = Hover(controller)
+        self.images = ImagesPanel(state, controller, self.hover, self.scene.scales)
+        self.tools = ViewTools(state, controller, self.view, self.scene)
+        self.pointing = Pointing(state, self.view, self.scene, self.hover)
+        self.undo_stack = QUndoStack(self)
+        self.undo_stack.setUndoLimit(UNDO_STEPS)
+        self.undo_recorder = UndoRecorder(state, self.undo_stack)
+        self.sensor = SensorPanel(state, controller)
+        self.stage_times = StageTimes()
+        self.calibration = CalibrationPanel(
+            Calibration(controller, self.undo_recorder), state.units, self.playback.range_strip
+        )
+        self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
+        self.overlay = PoseOverlay(self.view, self.scene, self.pose)
+        self.shear = ShearPanel(state, controller)
+        self.pair = SensorPair(controller, self.scene, self.view)
+        self.second_membrane = SecondMembrane(controller, self.scene, self.view)
+        self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
+        self.live = LiveBar(self.live_controller, self.pair, state.units)
+        self.display_latency = DisplayLatency(controller, self.view)
+        self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
+        self._source: object = None
+        self.reading = Worker("reading")
+        self._memory = MemoryRelease(state)
+        self._docks: dict[str, Dock] = {}
+        layout = self.layout()
+        assert layout is not None
+        layout.setSizeConstraint(QLayout.SizeConstraint.SetNoConstraint)  # see `_fit`
+        self._lay_out()
+        self._rates_timer = QTimer(self, interval=RATES_EVERY_MS)
+        self._connect()
+
+    def use_scene(self, preset: ScenePreset) -> None:
+        """Apply a scene preset: layers, panels, viewpoint."""
+        with self.undo_recorder.one_step("scene"):
+            self.open_panels.show_only(frozenset(preset.panels))
+            self.state.change(**preset.settings())
+        self.scene.reset_view()
+
+    def save_screenshot(self, path: Path) -> None:
+        """Write a screenshot of the window."""
+        written = self.grab().save(str(path), picture_format(path))
+        tell_of_picture(self.messages, path, written=written)
+
+    def _use_theme(self, scheme: Qt.ColorScheme) -> None:
+        application = QApplication.instance()
+        if isinstance(application, QApplication):
+            theme.apply(application, theme.chosen(self.state.settings.theme, scheme))
+
+    def closeEvent(self, event: QCloseEvent) -> None:
+        """Stop timers and threads, then release VTK."""
+        self.open_panels.close()
+        self._rates_timer.stop()
+        self.state.blockSignals(True)  # receivers are being deleted
+        for host in self.findChildren(PlotHost):
+            host.close_canvas()
+        self.calibration.close_all()
+        self.exporting.close()
+        for worker in (self.reading, self.compare.other.worker):
+            worker.cancel()
+            worker.close()
+        self._memory.close()
+        self.undo_stack.clear()  # steps keep references to what they change
+        self.overlay.close()
+        self.live_controller.close()
+        self.controller.close()
+        self.view.close()
+        super().closeEvent(event)
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Arrange docks for the new size."""
+        super().resizeEvent(event)
+        self._share_width()
+        self._restore_heights()
+        self._part_tabs()
+
+    def event(self, event: QEvent) -> bool:
+        """Fit docks whose contents changed; keep heights that were dragged."""
+        done = super().event(event)
+        if event.type() == QEvent.Type.LayoutRequest and self.isVisible():
+            self._fit()
+        elif event.type() == QEvent.Type.MouseButtonRelease:  # of a line between docks
+            for dock in self._docks.values():
+                dock.keep_height()
+        return done
+
+    def _fit(self) -> None:
+        """Make tabs of docks rather than grow, perhaps beyond the screen."""
+        for dock in self._docks.values():
+            dock.learn_height()
+            if dock.too_low:
+                self._make_tabs(dock)
+        for side in SIDES.values():
+            shown = column(self, side)
+            if self.minimumSizeHint().height() > self.height() and shown:
+                self._make_tabs(max(shown, key=lambda dock: dock.opened_s))
+        self._part_tabs()
+        tabs = self.tabifiedDockWidgets(self._docks["playback"])
+        policy = QSizePolicy.Policy.Preferred
+        fixed = all(dock.isHidden() for dock in tabs)  # else the others would be as low
+        self.playback.setSizePolicy(policy, QSizePolicy.Policy.Fixed if fixed else policy)
+        room = self.screen().availableSize() - FRAME
+        self.setMinimumSize(self.minimumSizeHint().boundedTo(room))
+
+    def _make_tabs(self, front: Dock) -> None:
+        """Make tabs at the side of a dock; the first-run hint gives way, too."""
+        self.tabs.make(front)
+        self.hint.hide()
+        self._centre.updateGeometry()
+
+    def _part_tabs(self) -> None:
+        """Undo the tabs of `_fit` where there is room."""
+        for name, side in SIDES.items():
+            spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
+            self.tabs.part(side, spare)
+
+    def _restore_heights(self) -> None:
+        for dock in self._docks.values():
+            dock.restore_height()
+
+    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
+        """Accept files."""
+        self.view.dragEnterEvent(event)
+
+    def dropEvent(self, event: QDropEvent) -> None:
+        """Open dropped files."""
+        self.view.dropEvent(event)
+
+    def _lay_out(self) -> None:
+        self._centre = QWidget()
+        fill(
+            QVBoxLayout(self._centre),
+            self.message,
+            self.busy,
+            self.hint,
+            self.live,
+            (self.view, 1),
+            margins=(0, 0, 0, 0),
+            spacing=0,
+        )
+        self.setCentralWidget(self._centre)
+        self.setStatusBar(self.status)
+        watch_controls(self.live)
+        self.panels = self._make_docks()
+        self.open_panels = OpenPanels(self.panels, self.state, self)
+
+    def _make_docks(self) -> dict[str, QWidget]:
+        """Create the docks of all panels except the status bar."""
+        shown: dict[str, QWidget] = {
+            "layers": scrolled(self.layers),
+            "kappa": self.kappa,
+            "threshold": scrolled(self.threshold),
+            "compare": scrolled(self.compare),
+            "tools": scrolled(self.tools),
+            "sensor": scrolled(self.sensor),
+            "pose": scrolled(self.pose),
+            "shear": scrolled(self.shear),
+            "calibration": self.calibration,
+            "plots": self.plots,
+            "images": self.images,
+            "playback": self.playback,
+        }
+        docks: dict[str, Dock] = {}
+        for name, widget in shown.items():
+            kind = PANELS[name]
+            docks[name] = dock = Dock(kind.title, self)
+            dock.setObjectName(kind.title)
+            dock.setWidget(widget)
+            watch_controls(widget)
+            self.addDockWidget(SIDES[kind.side or "right"], dock)
+            if kind.tab_of:
+                dock.tab_of(docks[kind.tab_of])
+                dock.maximise_height()
+            if not kind.by_default:
+                dock.hide()
+            if kind.settings_name:
+                dock.visibilityChanged.connect(
+                    partial(self.state.set_panel_open, kind.settings_name)
+                )
+        self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
+        docks["plots"].open_at_hint_height()
+        docks["images"].open_at_hint_height()
+        docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
+        self._share_width()
+        self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
+        self._docks, self.tabs = docks, TabsForRoom(self, list(docks.values()))
+        return {**docks, "status": self.status}
+
+    def _share_width(self) -> None:
+        """Place the timeline below the panels if the window is too narrow for both."""
+        below = "bottom" if self.width() < NARROW else "right"
+        self.setCorner(Qt.Corner.BottomRightCorner, SIDES[below])
+
+    def _connect(self) -> None:
+        self.controller.opened.connect(self._on_opened)
+        self.controller.shown.connect(self._on_shown)
+        self.controller.failed.connect(self._on_failed)
+        self.messages.added.connect(self._show_message)
+        self.controller.opening.changed.connect(self.busy.wait_for)
+        self.busy.cancel.clicked.connect(self.controller.opening.cancel)
+        self.compare.measured.connect(self.scene.compare)
+        self.compare.other.aligned.connect(self.plots.show_other)
+        self.compare.other.membrane.connect(self.second_membrane.take)
+        panels, watch = self.open_panels, self.undo_recorder.watch
+        watch("open panels", panels.changed, lambda: panels.names, panels.show_only)
+        for text, box in self.calibration.boxes.items():
+            self.undo_recorder.watch_box(text, box)
+        self.playback.timeline.range_dragged.connect(self._play_range)
+        self.calibration.painted.connect(self._paint)
+        self._rates_timer.timeout.connect(self.show_rates)
+        self._rates_timer.start()
+        self.view.follow_theme(lambda _: self.scene.apply(self.state.settings))
+        QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
+        self.state.source_changed.connect(self._on_source)
+        self.state.frozen_changed.connect(self._show_title)
+        self.state.connection_changed.connect(self._on_connection)
+        self.state.settings_changed.connect(self._on_settings)
+        self.state.history_changed.connect(self.scene.follow_scales)
+
+    def _play_range(self, frames: tuple[int, int]) -> None:
+        """Loop over a range dragged on the timeline."""
+        with self.undo_recorder.one_step("range"):
+            self.state.set_range(frames)
+            self.state.change(loop=True)
+
+    def _show_message(self, message: UserMessage) -> None:
+        quiet = message.kind == "notice"
+        if quiet and message.topic:
+            self.message.drop_topic(message.topic)
+        (self.notice if quiet else self.message).show_message(message)
+
+    def _on_source(self, facts: SourceFacts) -> None:
+        self._show_title()
+        self.status.show_source(facts, self._sensor_title(facts))
+
+    def _on_connection(self) -> None:
+        self._show_title()
+        outdated = self.state.badge in ("stale", "reconnecting")
+        self.scene.set_outdated(outdated)
+        for label in (*self.status.numbers, *self.kappa.numbers):
+            label.setDisabled(outdated)
+
+    def _show_title(self) -> None:
+        facts, badge = self.state.facts, self.state.badge
+        if facts is not None:
+            status = f" ({badge})" if badge else ""
+            sensor = self._sensor_title(facts)
+            self.setWindowTitle(f"{facts.title}{status} – {sensor} – bubbleviz")
+
+    def _sensor_title(self, facts: SourceFacts) -> str:
+        sensor = self.controller.sensor
+        return facts.sensor_name if sensor is None else title_text(sensor)
+
+    def _on_settings(self, names: frozenset[str]) -> None:
+        if "theme" in names:
+            self._use_theme(theme.system_scheme())
+        if names & UNIT_CHOICES.keys():
+            self._show_units()
+        if names - NOT_DRAWN:
+            self.scene.apply(self.state.settings)
+
+    def _show_units(self) -> None:
+        """Update all numbers after a change of units."""
+        self.status.fit_units()
+        self._write_numbers()
+        self.show_rates()
+        self.calibration.calibration.changed.emit()
+
+    def _on_opened(self, opened: Opened) -> None:
+        if self._source is None:
+            self.reading.submit(import_plots, due_s=time.perf_counter() + PLOTS_AFTER_S)
+        path = opened.request.source.path
+        if path is not None:
+            remember("recording", path)
+        if opened.request.source is not self._source:  # reopening the same keeps the focus
+            self._source = opened.request.source
+            self.view.setFocus()
+            for topic in (SOURCE, CALIBRATION):
+                self.message.drop_topic(topic)
+        self.message.drop_warnings()
+        self.message.drop_topic(OPENING)
+        name, camera = name_of(opened.sensor), opened.sensor.camera
+        if name is not None and name.endswith(".toml"):
+            remember_sensor(Path(name), (camera.width, camera.height))
+        if opened.facts.remark:
+            self.messages.add("warning", opened.facts.remark)
+        self.scene.depth_camera = opened.camera
+        self.stage_times.clear()
+        self.scene.set_sensor(opened.sensor, opened.mesh)
+
+    def _on_shown(self, result: Result) -> None:
+        if self.state.facts is None:
+            return
+        self.stage_times.take(result)
+        start = time.perf_counter()
+        self.scene.show(result, self.state.settings)
+        self.view.busy_s += time.perf_counter() - start
+        self._write_numbers()
+
+    def _write_numbers(self) -> None:
+        """Show the numbers of the current result in the panels."""
+        result, facts = self.controller.result, self.state.facts
+        if result is not None and facts is not None:
+            self.playback.show_frame()
+            self.kappa.show_result(result)
+            final = self.state.final
+            self.status.show_result(result, facts, self.state.history, final=final)
+
+    def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
+        """Draw coloured points instead of the measured ones until the next frame is shown."""
+        result = self.controller.result
+        if result is None:
+            return
+        self.state.set_playing(False)
+        with self.undo_recorder.unrecorded():
+            layers = self.state.settings.layers | {"cloud"}
+            self.state.change(layers=layers, cloud_colour="residual")
+        painted = replace(result, cloud_m=points_m, cloud_pixels=None, cloud_residual_m=values_m)
+        self.scene.show(painted, self.state.settings)
+
+    def _on_failed(self, failed: Failed) -> None:
+        message, topic = failed.message, SOURCE
+        if failed.key == "open":
+            facts = self.state.facts
+            stays = "" if facts is None or facts.is_empty else " The current source stays open."
+            message, topic = f"{message.rstrip('.')}.{stays}", OPENING
+        elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
+            self.state.set_playing(False)
+        kind: MessageKind = "warning" if failed.warning else "error"
+        self.messages.add(kind, message, failed.details, topic=topic)
+
+    def show_rates(self) -> None:
+        """Show frame rates and latency in the status bar."""
+        now = time.perf_counter()
+        controller, view = self.controller, self.view
+        self.status.show_rates(
+            controller.client.solve_rate.rate_hz(now),
+            view.render_rate.rate_hz(now),
+            controller.dropped,
+        )
+        self.status.show_latency(self.display_latency.report())
