@@ -76,7 +76,7 @@ def screenshot(
 
 
 def _user_file() -> Path:
-    from bubbleviz_ui.session_files.session_saver import user_file  # loads Qt
+    from bubbleviz_ui.session_saver import user_file  # loads Qt
 
     return user_file()
 

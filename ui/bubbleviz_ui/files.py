@@ -15,7 +15,7 @@ from bubbleviz_ui.engine.source import RECORDINGS, Source
 from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.live.sensor_pair import PairedSensor
 from bubbleviz_ui.panel_window import PanelWindow
-from bubbleviz_ui.session_files.session_saver import SessionSaver
+from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.file_dialogs import (
     SENSOR_FILES,

@@ -6,10 +6,10 @@ from PySide6.QtGui import QCloseEvent
 
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.files import Files
+from bubbleviz_ui.menus import Menus
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panel_window import PanelWindow
-from bubbleviz_ui.session_files.session_saver import SessionSaver
-from bubbleviz_ui.shell.menus import Menus
+from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.view3d.render_view import FAST, RenderQuality
 
 

@@ -22,39 +22,40 @@ from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import CalibrationPanel
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.hover import Hover
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.upkeep import MemoryRelease
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.live.second_membrane import SecondMembrane
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.demand import StageTimes
-from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKind, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, PLAYBACK_SETTINGS
-from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts, name_of, title_text
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.model.units import UNIT_CHOICES
-from bubbleviz_ui.panels.binding import watch_controls
 from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
+from bubbleviz_ui.panels.layers_panel import LayersPanel
 from bubbleviz_ui.panels.plot_host import PlotHost, import_plots
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
-from bubbleviz_ui.panels.second_membrane import SecondMembrane
 from bubbleviz_ui.panels.status_bar import StatusBar
+from bubbleviz_ui.panels.view_tools_panel import ViewTools
 from bubbleviz_ui.playback.playback_panel import PlaybackPanel
 from bubbleviz_ui.pose.pose_overlay import PoseOverlay
 from bubbleviz_ui.pose.pose_panel import PosePanel
 from bubbleviz_ui.pose.pose_session import PoseSession
-from bubbleviz_ui.sensor.sensor_panel import SensorPanel, title_text
-from bubbleviz_ui.session_files.session_file import name_of
+from bubbleviz_ui.sensor.sensor_panel import SensorPanel
 from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import watch_controls
 from bubbleviz_ui.shell.dock import Dock, OpenPanels, TabsForRoom, column, fill, scrolled
 from bubbleviz_ui.shell.file_dialogs import (
     picture_format,
@@ -63,11 +64,9 @@ from bubbleviz_ui.shell.file_dialogs import (
     tell_of_picture,
 )
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
-from bubbleviz_ui.view3d.layers_panel import LayersPanel
 from bubbleviz_ui.view3d.pointing import Pointing
 from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View
 from bubbleviz_ui.view3d.scene import Scene
-from bubbleviz_ui.view3d.view_tools_panel import ViewTools
 
 SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
 """Initial size of the window, and the largest frame of a window manager, px."""

@@ -13,11 +13,11 @@ from benchmarks.window.live_soak import free_port
 from bubbleviz.live import open_stream
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.zeros import PressureZero
+from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.solver import OpenRequest, Solver
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.live.connection import single
-from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from tests.live.streams import robot
 

@@ -10,7 +10,7 @@ from window_driver import CTRL, SHIFT, view_texts
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import STALE_AFTER_S
-from bubbleviz_ui.live import live_frames
+from bubbleviz_ui.engine import live_frames
 from bubbleviz_ui.live.connection import single
 from tests.live.streams import robot
 

@@ -12,11 +12,11 @@ from window_driver import CTRL, LEFT, SHIFT, painted
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz.recordings import Gap, TimeAxis
+from bubbleviz_ui.engine.player import PlayClock
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, FrameHistory
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
-from bubbleviz_ui.playback.player import PlayClock
 from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb

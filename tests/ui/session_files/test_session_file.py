@@ -186,9 +186,9 @@ import os, sys
 sys.path.insert(0, {here!r})
 from pathlib import Path
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.session_files import session_saver
+from bubbleviz_ui import session_saver
 from bubbleviz_ui.window_session import Startup, window_session
-from bubbleviz_ui.session_files.session_saver import user_file
+from bubbleviz_ui.session_saver import user_file
 session_saver.EVERY_MS = 100
 with window_session(Startup(load_sensor({sensor!r}), Path({rec!r})), user_file) as session:
     state = session.state

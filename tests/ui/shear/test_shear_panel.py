@@ -11,13 +11,13 @@ from bubbleviz.diagnostics import ShearEllipse
 from bubbleviz.recordings import LAG
 from bubbleviz.result import Slip, Traction
 from bubbleviz.shear import COLLECTED
+from bubbleviz_ui.engine.shear_reference import NEEDS_RUBBER
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.model.demand import Demand, needed_products
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shear.shear_panel import ShearPlot, shear_report, shear_texts
-from bubbleviz_ui.shear.shear_reference import NEEDS_RUBBER
 
 NOTHING = Settings(layers=frozenset(), panels=frozenset())
 

@@ -14,10 +14,10 @@ from bubbleviz.calibration import Step
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.registry import Colouring, ImageKind
 from bubbleviz_ui.model.units import DASH, Unit, Units
-from bubbleviz_ui.panels.binding import ControlInput
 from bubbleviz_ui.panels.images_panel import ImageCell
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import ControlInput
 from bubbleviz_ui.shell.dock import fill
 
 

@@ -16,6 +16,7 @@ from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.opening import Opening
+from bubbleviz_ui.engine.player import Player
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
 from bubbleviz_ui.engine.worker import Failed, Worker
@@ -23,7 +24,6 @@ from bubbleviz_ui.model.demand import Demand, needed_products, plot_products, po
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, solver_title
-from bubbleviz_ui.playback.player import Player
 
 # Analysis of all frames while the solver is idle.
 

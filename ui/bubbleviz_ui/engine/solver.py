@@ -34,12 +34,12 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import truth_of
 from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
+from bubbleviz_ui.engine.live_frames import LiveFrames
+from bubbleviz_ui.engine.shear_reference import ShearReference
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.worker import Deferred
-from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
-from bubbleviz_ui.shear.shear_reference import ShearReference
 
 if TYPE_CHECKING:
     from bubbleviz.shear import FlowPreset

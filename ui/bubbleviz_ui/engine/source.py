@@ -22,7 +22,7 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import NoisyLoop, RecordingWithTruth, Truth, truth_of, with_truth_file
-from bubbleviz_ui.live.live_frames import LiveFrames
+from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
 RECORDINGS = "Recordings (*.mcap *.db3 *.bag *.yaml);;All files (*)"

@@ -12,8 +12,8 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.output import ExportPlan
 from bubbleviz.pipeline import FLOW_PRODUCTS, FrameOptions, Pipeline
 from bubbleviz.wording import count_of
+from bubbleviz_ui.engine.shear_reference import ShearReference
 from bubbleviz_ui.model.demand import Demand
-from bubbleviz_ui.shear.shear_reference import ShearReference
 
 if TYPE_CHECKING:
     from bubbleviz.progress import Progress

@@ -27,8 +27,8 @@ from bubbleviz.recordings import is_image_folder
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.recording_control import make_folder
 from bubbleviz_ui.model.messages import Messages
-from bubbleviz_ui.panels.binding import options
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import options
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import file_to_open, folder_to_open, remember
 from bubbleviz_ui.shell.message_bars import JobProgress

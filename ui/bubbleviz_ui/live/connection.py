@@ -18,8 +18,8 @@ from bubbleviz.live import (
     parse_uri,
     sensor_for_source,
 )
+from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.worker import Worker
-from bubbleviz_ui.live.live_frames import LiveFrames
 from bubbleviz_ui.shell import theme
 
 OWN_TOPICS = ("realsense", "synthetic")

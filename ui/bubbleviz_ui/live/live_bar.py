@@ -32,8 +32,8 @@ from bubbleviz_ui.live.recording_control import RecordingState, new_name
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.source_facts import Badge, untrusted_text
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.panels.binding import control
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import control
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, tool_button
 from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.view3d.render_view import View

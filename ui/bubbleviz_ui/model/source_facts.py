@@ -8,9 +8,11 @@ from typing import Literal
 
 import numpy as np
 
+from bubbleviz.files import presets_folder
 from bubbleviz.live import State
 from bubbleviz.recordings import Gap, TimeAxis, find_gaps
 from bubbleviz.result import Result
+from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.units import Units
 
 ConnectionState = State | Literal["disconnected"]
@@ -81,6 +83,32 @@ class SourceFacts:
         if frozen:
             return "frozen"
         return "simulated" if self.simulated else "live"
+
+
+# Names of a sensor.
+
+
+def name_of(sensor: Sensor) -> str | None:
+    """Preset name or absolute file of a sensor; None if it was not loaded from a file."""
+    if not sensor.file:
+        return None
+    path = sensor.resolve(sensor.file).absolute()
+    if path.parent == presets_folder("sensors").absolute():
+        return path.stem
+    return str(path)
+
+
+def file_text(sensor: Sensor) -> str:
+    """Origin of a sensor: its file's name, `preset`, or `not saved`."""
+    name = name_of(sensor)
+    if name is None:
+        return "not saved"
+    return sensor.file if name.endswith(".toml") else "preset"
+
+
+def title_text(sensor: Sensor) -> str:
+    """Name and file of a sensor."""
+    return f"{sensor.name} ({file_text(sensor)})"
 
 
 # Texts about a result, the same wherever the window shows them.

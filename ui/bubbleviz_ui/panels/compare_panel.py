@@ -31,8 +31,8 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, ComparedSetting
 from bubbleviz_ui.model.source_facts import STATUS, force_text, friction_text
 from bubbleviz_ui.model.units import DASH, Units
-from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import bind_membership, control
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
 

@@ -16,14 +16,14 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 from bubbleviz.diagnostics import Probed
 from bubbleviz.recordings import FrameColour
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.engine.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Cell, Part, PlotHost
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import menu_button
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.theme import NODE
 from bubbleviz_ui.view3d.colours import Scales, residual_colours, rounded_up

@@ -26,9 +26,9 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import force_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
-from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import bind, control
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.shell.theme import BLUE, ORANGE

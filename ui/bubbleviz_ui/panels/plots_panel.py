@@ -15,13 +15,13 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES
-from bubbleviz_ui.panels.binding import menu_button
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, Part, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.panels.wrench_plot import WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import menu_button
 from bubbleviz_ui.shell.dock import fill, push_button, scrolled
 
 if TYPE_CHECKING:

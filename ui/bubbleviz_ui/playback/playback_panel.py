@@ -17,9 +17,9 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SPEEDS, Settings
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import DASH
-from bubbleviz_ui.panels.binding import bind, control
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
+from bubbleviz_ui.shell.binding import bind, control
 from bubbleviz_ui.shell.dock import Steady, fill, tool_button
 
 PLAY, PAUSE = "▶", "▮▮"

@@ -28,10 +28,10 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import POSE_SETTINGS, Settings
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import bind_membership, control
 from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.panels.time_plot import isolated
 from bubbleviz_ui.pose.pose_session import NUMBERS, has_pose, pose_report, pose_texts
+from bubbleviz_ui.shell.binding import bind_membership, control
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import file_to_open, name_of_output, new_file
 from bubbleviz_ui.shell.theme import BLUE, ORANGE

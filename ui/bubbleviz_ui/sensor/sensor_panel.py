@@ -20,9 +20,9 @@ from bubbleviz.sensor import Sensor, edited, save_sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.session_state import SessionState
+from bubbleviz_ui.model.source_facts import file_text
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.sensor.sensor_watch import SensorWatch
-from bubbleviz_ui.session_files.session_file import name_of
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import new_file
@@ -67,19 +67,6 @@ VALUES = (
           "the depth image of the same moment; negative if colour leads depth", "s", "time"),
 )  # fmt: skip
 """In the order of the panel."""
-
-
-def file_text(sensor: Sensor) -> str:
-    """Origin of a sensor: its file's name, `preset`, or `not saved`."""
-    name = name_of(sensor)
-    if name is None:
-        return "not saved"
-    return sensor.file if name.endswith(".toml") else "preset"
-
-
-def title_text(sensor: Sensor) -> str:
-    """Name and file of a sensor."""
-    return f"{sensor.name} ({file_text(sensor)})"
 
 
 def identified_text(sensor: Sensor) -> str:

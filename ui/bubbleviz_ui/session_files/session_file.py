@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from bubbleviz.errors import InputError
-from bubbleviz.files import SUFFIXES, portable_path, presets_folder, whole_file
+from bubbleviz.files import SUFFIXES, portable_path, whole_file
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import SYNTHETIC
@@ -145,16 +145,6 @@ def usable_settings(fields: dict[str, Any]) -> Settings:
         ComparedSetting.valid("solver", s.solver) == s.solver for s in settings.compared
     )
     return settings if comparable else replace(settings, compared=Settings.compared)
-
-
-def name_of(sensor: Sensor) -> str | None:
-    """Preset name or absolute file of a sensor; None if it was not loaded from a file."""
-    if not sensor.file:
-        return None
-    path = sensor.resolve(sensor.file).absolute()
-    if path.parent == presets_folder("sensors").absolute():
-        return path.stem
-    return str(path)
 
 
 def portable(saved: SavedSession, file: Path) -> SavedSession:

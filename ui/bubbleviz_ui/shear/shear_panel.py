@@ -19,9 +19,9 @@ from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.binding import control, form
 from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import control, form
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.theme import BLUE
 

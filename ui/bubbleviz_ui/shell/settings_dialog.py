@@ -20,7 +20,7 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.undo import UndoRecorder
-from bubbleviz_ui.panels.binding import control, watch_controls
+from bubbleviz_ui.shell.binding import control, watch_controls
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import bold
 

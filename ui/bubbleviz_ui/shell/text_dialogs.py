@@ -23,7 +23,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import Messages, UserMessage
-from bubbleviz_ui.sensor.sensor_panel import title_text
+from bubbleviz_ui.model.source_facts import title_text
 from bubbleviz_ui.shell.dock import fill, push_button
 
 SIZE = (640, 360)  # px

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PySide6.QtCore import QObject
 
-from bubbleviz_ui.model.hover import Hover
+from bubbleviz_ui.engine.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.view3d.render_view import View

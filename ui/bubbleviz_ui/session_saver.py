@@ -19,7 +19,7 @@ from bubbleviz_ui.engine.source import SYNTHETIC, Source, sensor_for
 from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import USER_SETTINGS
-from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts, name_of
 from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.session_files.session_file import (
     MAX_RECENT,
@@ -30,7 +30,6 @@ from bubbleviz_ui.session_files.session_file import (
     copy_next_to,
     is_copy_next_to,
     missing,
-    name_of,
     plain_settings,
     portable,
     read_session,

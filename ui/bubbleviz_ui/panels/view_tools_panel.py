@@ -21,13 +21,14 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.engine.hover import Hover
 from bubbleviz_ui.engine.solver import Opened
-from bubbleviz_ui.model.hover import Hover
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES
-from bubbleviz_ui.panels.binding import bind, control, form
 from bubbleviz_ui.panels.images_panel import probe_lines
+from bubbleviz_ui.panels.profile_plot import ProfilePlot
+from bubbleviz_ui.shell.binding import bind, control, form
 from bubbleviz_ui.shell.dock import fill, push_button, tool_button
 from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
@@ -36,7 +37,6 @@ from bubbleviz_ui.shell.file_dialogs import (
     tell_of_picture,
 )
 from bubbleviz_ui.view3d.object_layers import ProbeMarks
-from bubbleviz_ui.view3d.profile_plot import ProfilePlot
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.text import AnchoredText

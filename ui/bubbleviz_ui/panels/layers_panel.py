@@ -7,7 +7,7 @@ from PySide6.QtWidgets import QCheckBox, QFormLayout, QFrame, QVBoxLayout, QWidg
 
 from bubbleviz_ui.model.registry import LAYERS, LayerKind
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.panels.binding import bind_membership, control, form
+from bubbleviz_ui.shell.binding import bind_membership, control, form
 from bubbleviz_ui.shell.dock import fill
 
 

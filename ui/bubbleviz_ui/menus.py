@@ -23,17 +23,16 @@ from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
 from bubbleviz_ui.model.registry import LAYERS, PATCH
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
-from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.source_facts import SourceFacts, name_of
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panel_window import PanelWindow
-from bubbleviz_ui.panels.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.panels.status_bar import PerformancePopup
+from bubbleviz_ui.panels.view_tools_panel import VIEWS
 from bubbleviz_ui.playback.playback_panel import next_speed
-from bubbleviz_ui.session_files.session_file import name_of
-from bubbleviz_ui.session_files.session_saver import SessionSaver
+from bubbleviz_ui.session_saver import SessionSaver
+from bubbleviz_ui.shell.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.shortcuts import DYNAMIC, Shortcuts, ShortcutsDialog
-from bubbleviz_ui.view3d.view_tools_panel import VIEWS
 
 if TYPE_CHECKING:
     from bubbleviz_ui.importing.import_dialog import ImportDialog
