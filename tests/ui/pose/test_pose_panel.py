@@ -286,7 +286,7 @@ def test_tracking_export_undo_of_reset_and_curves(bench, source, tmp_path, monke
     for curve in curves.frames:
         drawn = curve.curve.getOriginalDataset()[1]
         assert np.isfinite(drawn).tolist() == [True, False, True, False, True]
-        assert curve.curve.opts["connect"] == "finite" and curve.line.opts["symbol"] == "o"
+        assert curve.curve.opts["connect"] == "finite" and curve.curve.opts["symbol"] == "o"
 
 
 def test_patch_by_the_object_is_shown_with_the_patch_and_follows_the_pose(bench):
