@@ -46,6 +46,7 @@ def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive
     # in the smallest window all results are visible
     assert driver.size == (1024, 700) and driver.window.panels["layers"].isVisible()
     dock.show()
+    assert text(driver, "status") == "solving …"
     columns = driver.window.compare.a, driver.window.compare.b
     labels = [label for column in columns for label in column.values.values()]
     driver.wait(lambda: all(at.visibleRegion().boundingRect().size() == at.size() for at in labels))

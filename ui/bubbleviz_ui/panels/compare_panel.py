@@ -367,9 +367,9 @@ class ComparePanel(QWidget):
             self._take(NOT_MEASURED)
         elif names & ({"compared"} | PATCH_SETTINGS):
             self._ask_anew()
-        elif "panels" in names and self._measured is NOT_MEASURED:
-            self._ask()
         else:
+            if "panels" in names and self._measured is NOT_MEASURED:
+                self._ask()
             self._show()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
