@@ -8,15 +8,13 @@ import numpy as np
 from PySide6.QtCore import QObject
 
 from bubbleviz_ui.engine.controller import Controller
+from bubbleviz_ui.live.sensor_pair import APART
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
 if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import AlignedRun
-
-APART = 1.3
-"""Distance of the two membranes in widths of the other one; chosen."""
 
 
 class SecondMembrane(QObject):

@@ -26,7 +26,7 @@ from bubbleviz_ui.view3d.scene import Scene, SecondScene
 TIMEOUT_S = 0.15
 """After this time without a picture of the selected sensor, the other one is drawn alone."""
 APART = 1.3
-"""Distance of two sensors without poses, in widths of the second one; chosen."""
+"""Distance of two membranes without poses, in widths of the second one; chosen."""
 
 
 @dataclass(frozen=True, eq=False)
