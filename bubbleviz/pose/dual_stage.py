@@ -113,7 +113,6 @@ class Solver:
         began = time.perf_counter()
         first = self._registration.stage_one(
             contact,
-            predicted.T_B_O,
             prior,
             widest_m=_PREDICTION_ERROR_M if tracking else _START_ERROR_M,
             iterations=iterations,
@@ -135,21 +134,19 @@ class Solver:
     ) -> Solution | None:
         """Both stages from the best of initial poses (s, 4, 4); None if none fits."""
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
+        priors = [Prior(motion.T_B_O, motion.information) for motion in motions]
         coarse = [
-            self._registration.stage_one(
-                contact, m.T_B_O, Prior(m.T_B_O, m.information), iterations=_SEARCH_ITERATIONS
-            ).T_B_O
-            for m in motions
+            self._registration.stage_one(contact, prior, iterations=_SEARCH_ITERATIONS)
+            for prior in priors
         ]
-        costs = [self._registration.misfit(contact, T) for T in coarse]
         found = [
             self.solve(
                 frame,
                 contact,
-                Motion.at_rest(coarse[k], SEARCH_DEVIATION, contact.center),
+                Motion.at_rest(fit.T_B_O, SEARCH_DEVIATION, contact.center),
                 tracking=False,
             )
-            for k in np.argsort(costs)[:finalists]
+            for fit in sorted(coarse, key=lambda fit: fit.cost)[:finalists]
         ]
         good = [solution for solution in found if solution.pose.fitness >= _FOUND_FITNESS]
         return min(good, key=lambda solution: solution.pose.cost, default=None)

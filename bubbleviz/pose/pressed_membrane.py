@@ -97,10 +97,10 @@ class Touching:
     # is at a distance of its radius inside both faces, and the pushing point that far from there.
     rounding: np.ndarray
 
-    def on_nodes(self, forces: np.ndarray, count: int) -> np.ndarray:
-        """Forces (c, 3) on the points, distributed to the nodes (count, 3)."""
-        shares = self.weights[:, :, None] * forces[:, None]
-        return _sum_at_nodes(self.corners, shares, count)
+    def push(self, count: int) -> np.ndarray:
+        """Forces on the nodes (count, 3)."""
+        forces = self.force_n[:, None] * self.normals
+        return _sum_at_nodes(self.corners, self.weights[:, :, None] * forces[:, None], count)
 
     def pulled_along(self, motions: np.ndarray, count: int) -> np.ndarray:
         """Change of the forces on the nodes (count, 3) as the points move by motions (c, 3)."""
@@ -328,7 +328,7 @@ class PressedMembrane:
             if not np.isfinite(x).all():
                 return None
             touching = self._object.touching(x, triangles, T_B_O)
-            push = touching.on_nodes(touching.force_n[:, None] * touching.normals, len(x))
+            push = touching.push(len(x))
             try:
                 tangent, missed = part.linearised(
                     x, push + friction, touching.corners, touching.stiffness(), gas
@@ -363,9 +363,8 @@ def _pressed(
     loaded[touching.corners[touching.weights > 0.0]] = True
     on_face = loaded[triangles].all(axis=1)
     on_face[touching.triangle[touching.edge]] = False
-    push = touching.on_nodes(touching.force_n[:, None] * touching.normals, n)
     slopes = tangent.moved(pulls)
-    return Press(T_B_O, center, part, x, slopes[:6], slopes[6], push, on_face)
+    return Press(T_B_O, center, part, x, slopes[:6], slopes[6], touching.push(n), on_face)
 
 
 def _extrapolated(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:

@@ -267,8 +267,7 @@ class Registration:
     def stage_one(
         self,
         contact: ContactPoints,
-        start: np.ndarray,  # (4, 4), initial T_B_O
-        prior: Prior,
+        prior: Prior,  # the fit starts at its pose
         *,
         # initial scale of the robust weights: possible error of the initial pose
         widest_m: float = 5e-3,
@@ -277,7 +276,7 @@ class Registration:
         """Fit to the contact points only, weighted by their pressure."""
         share = contact.areas_m2 * contact.pressure_pa
         share *= contact.areas_m2.sum() / share.sum()
-        begun = self._at(contact, start)
+        begun = self._at(contact, prior.T_B_O)
         return self._fit(contact, share, begun, prior, widest_m, iterations, around=False)
 
     def stage_two(
@@ -292,10 +291,6 @@ class Registration:
         """Refine with the free membrane around the patch; other parameters as in `stage_one`."""
         share, begun = contact.areas_m2, (first.T_B_O, first.distance)
         return self._fit(contact, share, begun, prior, widest_m, iterations, around=True)
-
-    def misfit(self, contact: ContactPoints, T_B_O: np.ndarray) -> float:
-        """Robust misfit of a pose (4, 4) by the residuals of stage two, in units of the noise."""
-        return self._finished(contact, self._at(contact, T_B_O), []).cost
 
     def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
         """A fit moved to another pose (4, 4)."""
