@@ -248,7 +248,7 @@ class Press:
     slopes: np.ndarray
     rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
     push_n: np.ndarray  # (k, 3), force of the object on each node
-    on_face: np.ndarray  # (m,) bool, triangles that lie on a face of the object
+    on_face: np.ndarray  # (m,) bool, triangles that touch faces of the object, and no edge
 
     @property
     def force_n(self) -> np.ndarray:
@@ -359,9 +359,8 @@ def _pressed(
     motions += [np.cross(axis, arms) for axis in unit]
     motions.append(touching.rounding)
     pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
-    loaded = np.zeros(n, bool)
-    loaded[touching.corners[touching.weights > 0.0]] = True
-    on_face = loaded[triangles].all(axis=1)
+    on_face = np.zeros(len(triangles), bool)
+    on_face[touching.triangle] = True
     on_face[touching.triangle[touching.edge]] = False
     slopes = tangent.moved(pulls)
     return Press(T_B_O, center, part, x, slopes[:6], slopes[6], touching.push(n), on_face)

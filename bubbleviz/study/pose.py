@@ -54,7 +54,7 @@ from bubbleviz.study.symmetries import symmetries
 # Pose error over the directions of motion that the true contact determines, modulo symmetry.
 #
 # A direction is determined if the normals of the true contact, at the true pose and the sensor's
-# noise, fix it to 0.4 mm at the patch's edge (`bubbleviz.pose.registration`), independently of any
+# noise, fix it to 0.24 mm at the patch's edge (`bubbleviz.pose.registration`), independently of any
 # estimate.
 
 
@@ -171,7 +171,7 @@ class Row:
 
     `error_m` and `error_rad` are over the directions that the contact's normals determine, `seen_m`
     and `seen_rad` over those that one image of the exact membrane at the true pose determines (to
-    0.4 mm at the patch's edge, at the sensor's noise), like sliding of a face with visible edges.
+    0.24 mm at the patch's edge, at the sensor's noise), like sliding of a face with visible edges.
     All are modulo symmetry, and infinite without a pose.
     """
 

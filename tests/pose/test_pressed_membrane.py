@@ -195,6 +195,22 @@ def test_only_points_at_the_membrane_are_in_contact(pipeline, rubber, contact, n
     assert scene.compute_distance(points.astype("f4")).numpy().max() < 1e-3
 
 
+@pytest.mark.parametrize(("name", "some"), [("cylinder", 4), ("bridge", 0), ("hex_nut", 0)])
+def test_triangles_on_a_face_lie_on_it(pipeline, rubber, contact, name, some):
+    """Those that bridge an edge or a hole of the object are not among them."""
+    import open3d
+
+    T, model = pose(x=0.006, turn=0.4), study_object(name)
+    press = pressed(pipeline, rubber, name).press(T, contact)
+    scene = open3d.t.geometry.RaycastingScene()
+    vertices = model.vertices @ T[:3, :3].T + T[:3, 3]
+    scene.add_triangles(vertices.astype("f4"), model.triangles.astype("u4"))
+    far = scene.compute_distance(press.nodes.astype("f4")).numpy()
+    far = far[press.part.mesh.triangles[press.on_face]]
+    assert len(far) >= some
+    assert (far.mean(axis=1) < 3e-4).all()
+
+
 @pytest.mark.parametrize("name", ["cylinder", "bridge"])
 def test_newton_steps_of_a_moved_object_shrink_fast(pipeline, rubber, contact, monkeypatch, name):
     """Contacts are kept from pose to pose; the tangent has the loads' motion over the triangles.

@@ -225,10 +225,10 @@ def test_translations_with_rounding_errors_are_not_rotations():
 
 
 def test_precision_is_the_worse_of_noise_and_model_error():
-    """0.4 mm of error of the model over a patch of 3 mm; a pixel of 1 mm on each mm²."""
+    """0.24 mm of error of the model over a patch of 3 mm; a pixel of 1 mm on each mm²."""
     noisy, exact = Precision(1e12, 1e-9), Precision(1e30, 3e-3)
     assert noisy.per_area == pytest.approx(1e12, rel=1e-3)
-    assert exact.per_area == pytest.approx(1.0 / (4e-4 * 3e-3) ** 2, rel=1e-3)
+    assert exact.per_area == pytest.approx(1.0 / (2.4e-4 * 3e-3) ** 2, rel=1e-3)
     assert Precision(exact.per_area, 3e-3).per_area == pytest.approx(0.5 * exact.per_area)
 
 
