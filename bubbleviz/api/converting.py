@@ -82,8 +82,9 @@ def convert(
     out : path
         `X.mcap`, or a new folder for a rosbag2.
     intrinsics : path, optional
-        Sensor file, or TOML or JSON with width, height, fx, fy, cx, cy, distortion_model and
-        distortion; by default intrinsics.toml or .json in the folder of images.
+        Sensor file or preset, or TOML or JSON with width, height, fx, fy, cx, cy,
+        distortion_model and distortion; by default intrinsics.toml or .json in the folder of
+        images.
     times : path, optional
         CSV with a time in s for each image; by default times.csv in the folder, or the file names.
     gas_pressure : path, optional

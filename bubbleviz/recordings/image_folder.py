@@ -15,7 +15,14 @@ from pydantic import ConfigDict
 
 from bubbleviz.camera import MAX_SIDE, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import as_input_error, checked, read_npy, read_toml
+from bubbleviz.files import (
+    as_input_error,
+    checked,
+    named_file,
+    presets_folder,
+    read_npy,
+    read_toml,
+)
 from bubbleviz.recordings.colour_topics import colour_camera
 from bubbleviz.recordings.depth_topics import PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame, check_index
@@ -251,7 +258,9 @@ def is_image_folder(path: str | Path) -> bool:
 
 
 def read_intrinsics(path: str | Path) -> Intrinsics:
-    """Intrinsics from TOML or JSON, in a table `camera` or not, with the keys of a sensor file.
+    """Intrinsics from a TOML or JSON file with the keys of a sensor file, or from a preset.
+
+    The keys are in a table `camera` or at the top.
 
     Raises InputError: the file cannot be read, or a number is missing.
     """
@@ -260,6 +269,7 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
         with as_input_error(path, "the JSON file", "correct the file or its path"):
             table = json.loads(path.read_text(encoding="utf-8"))
     else:
+        path = named_file(path, presets_folder("sensors"), "file of intrinsics")
         table = read_toml(path)
     camera = table.get("camera", table) if isinstance(table, dict) else table
     return Intrinsics(**checked(_Lens, camera, path, "intrinsics").model_dump())

@@ -217,6 +217,17 @@ def test_assumed_colour_camera_is_written_to_the_copy(tmp_path):
         assert after.colour.camera.remark == before.colour.camera.remark
 
 
+def test_intrinsics_of_a_preset(tmp_path):
+    (tmp_path / "images").mkdir()
+    np.save(tmp_path / "images" / "1.npy", np.full((171, 224), 0.15))
+    out, preset = tmp_path / "out.mcap", "pico_flexx_75mm"
+    converted(tmp_path / "images", out, "--rate", 30, "--intrinsics", preset)
+    camera = bv.load_sensor(preset).camera
+    with Recording(out) as recording:
+        found = recording.intrinsics
+    assert (found.fx, found.fy, found.cx, found.cy) == (camera.fx, camera.fy, camera.cx, camera.cy)
+
+
 def test_force_equals_that_of_the_original(sensor, tmp_path):
     Simulation(small_source(sensor, HEIGHTS[1:2])).save(tmp_path / "press.mcap")
     (tmp_path / "images").mkdir()
