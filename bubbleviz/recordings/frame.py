@@ -17,7 +17,7 @@ SAME_CLOCK_NS = 5_000_000_000
 """Stamps further than this from the arrival are from another clock: age counts from arrival."""
 
 
-@dataclass(frozen=True, repr=False)
+@dataclass(frozen=True, repr=False, eq=False)
 class Frame:
     """A depth image and what was measured with it.
 
@@ -28,7 +28,7 @@ class Frame:
     time_s : float
         Seconds from the start of the recording.
     depth_m : (H, W) float32 array
-        z-depth in metres; NaN where there is no return.
+        z-depth in metres; NaN where there is no return. Given zeros and negative values become NaN.
     intrinsics : Intrinsics or None
         From the recording's CameraInfo, instead of the sensor file's.
     gas_pressure_pa : float or None
@@ -73,6 +73,13 @@ class Frame:
     image_errors: ImageErrors | None = None
     mean_depth_m: np.ndarray | None = None
     images: int = 1
+
+    def __post_init__(self) -> None:
+        no_return = self.depth_m <= 0.0  # as plug-ins and callers write it
+        if no_return.any():
+            object.__setattr__(
+                self, "depth_m", np.where(no_return, np.float32(np.nan), self.depth_m)
+            )
 
     @property
     def steady_depth_m(self) -> np.ndarray:

@@ -58,6 +58,24 @@ def test_type_information_is_shipped():
     assert (Path(bv.__file__).parent / "py.typed").is_file()
 
 
+def test_pixels_without_return_may_be_zero(frames, sensor, estimated):
+    """As in frames of plug-ins, which the page on them allows."""
+    lost = np.random.default_rng(3).random(frames[0].depth_m.shape) < 0.05
+    images = [np.where(lost, np.nan, frame.depth_m) for frame in frames]
+    as_nan, as_zero = (
+        bv.estimate(
+            [
+                replace(f, depth_m=np.nan_to_num(d, nan=filler))
+                for f, d in zip(frames, images, strict=True)
+            ],
+            sensor,
+        )
+        for filler in (np.nan, 0.0)
+    )
+    assert as_zero.status.tolist() == as_nan.status.tolist() == estimated.status.tolist()
+    np.testing.assert_array_equal(as_zero.force_n, as_nan.force_n)
+
+
 def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     drifted = [replace(frame, depth_m=frame.depth_m - 1e-3) for frame in frames]
     run = bv.estimate(drifted, sensor)

@@ -23,7 +23,7 @@ class Source:
         if not 0 <= index < 4:
             raise IndexError(index)
         self.reads[index] += 1
-        return Frame(index, float(index), np.full((4, 5), index, np.float32))
+        return Frame(index, float(index), np.full((4, 5), index + 1, np.float32))
 
     def close(self):
         pass
@@ -33,7 +33,7 @@ def test_frames_are_read_once_until_memory_is_used_up():
     source = Source()
     kept = CachedFrames(source, limit_bytes=2 * 80)
     for _ in range(3):
-        assert [kept[k].depth_m[0, 0] for k in range(len(kept))] == [0, 1, 2, 3]
+        assert [kept[k].depth_m[0, 0] for k in range(len(kept))] == [1, 2, 3, 4]
     assert source.reads == {0: 1, 1: 1, 2: 3, 3: 3}
     with pytest.raises(IndexError):
         kept[4]
