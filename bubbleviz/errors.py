@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from math import inf, nan
+from numbers import Real
+
 
 class InputError(Exception):
     """Invalid file, message or argument.
@@ -31,3 +35,20 @@ class StreamStoppedError(InputError):
 
 class SolveError(Exception):
     """Valid input for which the solver found no trustworthy solution."""
+
+
+# Checks of arguments that the command line makes of its options, for callers from Python.
+
+
+def check_number(option: str, value: object, lowest: float, highest: float = inf) -> None:
+    """Refuse what is not a finite number from `lowest` to `highest`. Raises InputError."""
+    number = float(value) if isinstance(value, Real) else nan
+    if not lowest <= number <= highest or number == inf:
+        limits = f"from {lowest:g} to {highest:g}" if highest < inf else f"of {lowest:g} or more"
+        raise InputError(f"{option} {value}: give a finite number {limits}")
+
+
+def check_choice(option: str, value: object, choices: Iterable[object]) -> None:
+    """Refuse what is not one of the choices. Raises InputError."""
+    if value not in (known := tuple(choices)):
+        raise InputError(f"{option} {value}: choose one of {', '.join(map(str, known))}")

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_choice
 from bubbleviz.files import SUFFIXES, exists, presets_folder, read_triangles
 
 _MAX_SIZE_M = 1.0  # of the bounding box; larger meshes are in millimetres
@@ -71,6 +71,7 @@ def object_mesh(
     Raises InputError: unreadable, or larger than 1 m or smaller than 0.5 mm, so in a wrong unit.
     """
     path = Path(path)
+    check_choice("--unit", unit, (None, "m", "mm"))
     vertices, triangles = read_triangles(path)
     in_mm = unit == "mm" or (unit is None and path.stem.endswith("_mm"))
     if in_mm:

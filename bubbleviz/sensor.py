@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_number
 from bubbleviz.files import (
     MAX_COLOUR_DELAY_S,
     checked,
@@ -298,9 +298,13 @@ def changed(sensor: Sensor, **sections: dict[str, Any]) -> Sensor:
 
 
 def with_colour_delay(sensor: Sensor, colour_delay_s: float | None) -> Sensor:
-    """Sensor with another colour delay, s, and without file name; unchanged for None."""
+    """Sensor with another colour delay, s, and without file name; unchanged for None.
+
+    Raises InputError: it is not within ±0.5 s.
+    """
     if colour_delay_s in (None, sensor.camera.colour_delay_s):
         return sensor
+    check_number("--colour-delay", colour_delay_s, -MAX_COLOUR_DELAY_S, MAX_COLOUR_DELAY_S)
     other = changed(sensor, camera={"colour_delay_s": colour_delay_s})
     return other.model_copy(update={"file": ""})
 

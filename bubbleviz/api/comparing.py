@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
 from bubbleviz.api.estimating import Recorded, SensorName, estimate, path_of
 from bubbleviz.api.results import Run, load_run
 from bubbleviz.api.saved_summary import SavedSummary, axis_columns, check_out
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_choice
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, find_gaps
 from bubbleviz.wording import count_of
@@ -189,6 +189,7 @@ def compare(
     >>> found = bv.compare("before.mcap", "after.mcap", "mine.toml", align="contact")
     >>> found.facts()["median_force_difference_n"]
     """
+    check_choice("--align", align, get_args(Alignment))
     check_out(out, path_of(first), path_of(other), overwrite=overwrite)
     sensors = sensor, sensor if other_sensor is None else other_sensor
     a, b = (_run(*each, progress) for each in zip((first, other), sensors, strict=True))

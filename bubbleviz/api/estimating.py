@@ -13,6 +13,7 @@ import numpy as np
 import bubbleviz
 from bubbleviz.api.estimator import (
     FrameSolver,
+    given_pose,
     patch_options,
     refuse_frictionless_shear,
     solved,
@@ -21,7 +22,7 @@ from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
-from bubbleviz.files import parse_pose, refuse_existing, refuse_input
+from bubbleviz.files import refuse_existing, refuse_input
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
@@ -166,8 +167,6 @@ def estimate(
     (30, 3)
     """
     options = patch_options(kappa)
-    if isinstance(frames, np.ndarray):
-        raise InputError("estimate takes frames or a recording; use bv.Estimator for arrays")
     solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Frame | Sequence | Path):
         solving |= {"kappa": kappa, "shear": shear, "colour_delay_s": colour_delay_s}
@@ -295,7 +294,7 @@ def track(
     InputError
         An input does not exist or does not match the others, or no frame has a pose.
     """
-    initial_pose = parse_pose(init) if isinstance(init, str) else init
+    initial_pose = given_pose(init)
     obj = load_object(object, unit)
     solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Sequence | Path):
@@ -324,9 +323,23 @@ def as_frames(frames: Frame | Recorded) -> Frames:
     if isinstance(frames, str | Path):
         return open(frames)
     several = [frames] if isinstance(frames, Frame) else frames
+    if isinstance(several, Frames) and len(several):
+        return several
+    if not isinstance(several, Sequence):
+        raise _no_frames(several)
     if not len(several):
         raise InputError("no frames were given; choose at least one")
-    return several if isinstance(several, Frames) else Frames(HeldFrames(several))
+    for other in several:
+        if not isinstance(other, Frame):
+            raise _no_frames(other)
+    return Frames(HeldFrames(several))
+
+
+def _no_frames(given: object) -> InputError:
+    return InputError(
+        f"frames: a recording's path, Frames, a list of Frame, or a stream is expected, not a "
+        f"{type(given).__name__}; use bv.Estimator for arrays"
+    )
 
 
 def pipeline_for(
@@ -386,7 +399,10 @@ def _watched(
 ) -> Iterator[FrameResult]:
     """Results of a stream's newest frames; `options` as in `Estimator`."""
     from bubbleviz.api.watching import Watcher  # loads network and camera libraries
+    from bubbleviz.live import LiveStream
 
+    if not isinstance(stream, LiveStream):
+        raise _no_frames(stream)
     for path in filter(None, files):
         raise InputError(
             f"{path}: estimate and track write no files for a live stream; record it with "

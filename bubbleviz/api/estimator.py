@@ -16,9 +16,10 @@ from threadpoolctl import ThreadpoolController
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import FrameResult, OneBlasThread
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_number
 from bubbleviz.files import parse_pose
 from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.membrane import checked_pose
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame, gas_warning, has_returns, metres
@@ -101,7 +102,7 @@ class Estimator:
                 f"sensor {AUTO}: needs a recording to choose the sensor by; give Estimator a "
                 "sensor file or preset"
             )
-        initial_pose = parse_pose(init) if isinstance(init, str) else init
+        initial_pose = given_pose(init)
         self._tracked = None if object is None else (load_object(object, unit), initial_pose)
         self._sensor = with_colour_delay(load_sensor(sensor), colour_delay_s)
         self._estimator_options = EstimatorOptions.named(solver, friction)
@@ -365,10 +366,17 @@ class FrameSolver:
         return "; ".join(filter(None, (file, gas, _camera_warning(self.pipeline, where))))
 
 
+def given_pose(init: str | np.ndarray | None) -> np.ndarray | None:
+    """T_B_O (4, 4) of an option `init`. Raises InputError: it is no rigid transform."""
+    if init is None:
+        return None
+    return parse_pose(init) if isinstance(init, str) else checked_pose(init)
+
+
 def patch_options(kappa: float | None) -> FrameOptions:
     """Options with a patch threshold. Raises InputError: it is not a number ≥ 0."""
-    if kappa is not None and not (math.isfinite(kappa) and kappa >= 0.0):
-        raise InputError(f"--kappa {kappa:g}: give a finite number of 0 or more")
+    if kappa is not None:
+        check_number("--kappa", kappa, 0.0)
     return FrameOptions(kappa, fine_contact=kappa is None)
 
 

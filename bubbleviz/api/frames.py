@@ -163,6 +163,8 @@ def parse_frames(text: str | None, count: int, name: str, option: str = "--frame
     """
     if text is None:
         return range(count)
+    if not isinstance(text, str):
+        raise InputError(f"{option} {text}: give a text A:B or A:B:STEP, or a slice of the frames")
     given, parts = f'{option} "{text}"', [part.strip() for part in text.split(":")]
     if len(parts) not in (2, 3) or not all(p.isascii() and p.isdigit() for p in parts if p):
         raise InputError(f"{given}: give A:B or A:B:STEP, such as 0:60 for frames 0 to 59")

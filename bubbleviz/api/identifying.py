@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.api.estimating import path_of
-from bubbleviz.api.frames import open, parse_frames
+from bubbleviz.api.frames import Frames, open, parse_frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import (
+    SURFACE_NAMES,
     Identification,
     KnownPress,
     Parameter,
@@ -24,7 +25,7 @@ from bubbleviz.calibration import (
     output_files,
     write_sensor,
 )
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_choice, check_number
 from bubbleviz.files import parse_pose, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource
@@ -231,7 +232,10 @@ def identify(
     >>> found = bv.identify(bv.open("rest.mcap"), "punyo_oval_d405")
     >>> found.save("mine.toml", report="report")
     """
-    levels = tuple(levels)
+    levels = (levels,) if isinstance(levels, str | Path | Frames) else tuple(levels)
+    check_choice("--surface", surface, (None, *SURFACE_NAMES))
+    if level_sigma is not None:
+        check_number("--level-sigma", level_sigma, 0.0)
     if out is not None:  # fail before the computation
         files = output_files(out, None if report is None else Path(report), overwrite=overwrite)
         for each in files:

@@ -437,8 +437,10 @@ class Run(Sequence[FrameResult], Summary):
         Raises
         ------
         InputError
-            The file exists.
+            The file exists, or has another suffix.
         """
+        if path is not None and Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
+            raise InputError(f"{path}: not the name of a plot; end it in .png, .svg or .pdf")
         figure = _new_figure(shown=path is None or "ipykernel" in sys.modules)
         draw_plots(self._numbers.columns(), figure)
         if path is not None:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import fields
+from numbers import Integral
 from pathlib import Path
-from typing import Any, Literal, Self, overload
+from typing import Any, Literal, Self, get_args, overload
 
 import numpy as np
 
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_choice, check_number
 from bubbleviz.files import parse_pose, read_path, refuse_existing, whole_file
 from bubbleviz.membrane import build_mesh, checked_pose
 from bubbleviz.output import surface_arrays
@@ -19,7 +20,14 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation import DepthNoise, Speckle, SyntheticSource, Truth, press_path
+from bubbleviz.simulation import (
+    DepthNoise,
+    Model,
+    Speckle,
+    SyntheticSource,
+    Truth,
+    press_path,
+)
 
 
 class Simulation(Frames):
@@ -73,13 +81,13 @@ class Simulation(Frames):
         with OneBlasThread(), ExitStack() as stack:
             file = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None
             writer = stack.enter_context(RecordingWriter(out, overwrite=overwrite))
-            for index in range(len(self.source)):
+            for done, index in enumerate(self.chosen, 1):
                 writer.write(self.source[index])
                 if file:
                     truths.append(self.source.truth(index))
-                progress("simulating", (index + 1) / len(self.source))
+                progress("simulating", done / len(self))
             if file:
-                arrays: dict[str, Any] = _truth_arrays(self.source, truths)
+                arrays: dict[str, Any] = _truth_arrays(self.source, self.chosen, truths)
                 with file.open("wb") as opened:
                     np.savez_compressed(opened, **arrays)
 
@@ -161,8 +169,12 @@ def simulate(
     >>> press.truth(0).force_n
     array([...])
     """
-    if frames < 1:
-        raise InputError(f"--frames {frames}: give 1 or more")
+    if not isinstance(frames, Integral) or frames < 1:
+        raise InputError(f"--frames {frames}: give a whole number of 1 or more")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise InputError(f"--seed {seed}: give a whole number of 0 or more")
+    check_number("--rate", rate_hz, 0.01, 1e4)
+    check_choice("--model", model, (None, *get_args(Model)))
     noise = DepthNoise(
         relative=noise_relative,
         absolute_m=noise_sigma_m,
@@ -202,15 +214,17 @@ def simulate(
     return Simulation(source)
 
 
-def _truth_arrays(source: SyntheticSource, truths: list[Truth]) -> dict[str, np.ndarray]:
+def _truth_arrays(
+    source: SyntheticSource, chosen: range, truths: list[Truth]
+) -> dict[str, np.ndarray]:
     """Arrays of TRUTH.npz, with the names of RESULT.npz, on the simulation's mesh, and T_B_O."""
     touched = [np.isfinite(t.center_of_pressure_m[0]) for t in truths]
     return {
         "frame": np.arange(len(truths)),
-        "time_s": source.times_s[: len(truths)],
+        "time_s": source.times_s[chosen] - source.times_s[chosen[0]],
         "status": np.where(touched, "ok", "no_contact"),
         **surface_arrays(source.mesh),
-        "T_B_O": source.poses[: len(truths)],
+        "T_B_O": source.poses[chosen],
         **{
             field.name: np.stack([getattr(truth, field.name) for truth in truths])
             for field in fields(Truth)

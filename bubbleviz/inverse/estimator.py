@@ -8,7 +8,7 @@ from math import pi, sqrt
 import numpy as np
 
 from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, RangeObserver
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_number
 from bubbleviz.inverse.contact_problem import smoothness
 from bubbleviz.inverse.friction import FRICTION
 from bubbleviz.inverse.gauss_newton import IMAGE_ERROR, GaussNewton
@@ -98,9 +98,10 @@ class EstimatorOptions:
         Raises
         ------
         InputError
-            There is no such solver.
+            There is no such solver, or the friction is not a number ≥ 0.
         """
         mu = FRICTION if friction is None else friction
+        check_number("--friction", mu, 0.0)
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
             return cls(LINEAR, nodes=400, fine_contact=False, friction=mu)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from small_press import HEIGHTS, write_press
+from small_press import HEIGHTS, small_source, write_press
 from trimesh.viewer.notebook import scene_to_html
 
 import bubbleviz as bv
@@ -56,6 +56,55 @@ def test_every_public_name_exists_and_has_a_docstring():
 
 def test_type_information_is_shipped():
     assert (Path(bv.__file__).parent / "py.typed").is_file()
+
+
+@pytest.mark.parametrize(
+    ("verb", "options", "words"),
+    [
+        ("estimate", {"friction": -1.0}, "--friction -1.0: give a finite number of 0 or more"),
+        ("estimate", {"friction": np.nan}, "--friction nan"),
+        ("estimate", {"kappa": "2"}, "--kappa 2: give a finite number"),
+        ("estimate", {"colour_delay_s": 3.0}, "--colour-delay 3.0: .* from -0.5 to 0.5"),
+        ("estimate", {"frames": None}, "not a NoneType"),
+        ("estimate", {"frames": [np.ones((3, 4))]}, "not a ndarray; use bv.Estimator for arrays"),
+        ("estimate", {"frames": ["press.mcap"]}, "not a str"),
+        ("estimate", {"frames": iter(())}, "not a tuple_iterator"),
+        ("track", {"object": "cylinder", "init": np.eye(3)}, "not a finite 4×4 matrix"),
+        ("identify", {"surface": "cone"}, "--surface cone: choose one of .*ellipsoid"),
+        ("identify", {"level_sigma": -1.0}, "--level-sigma -1.0"),
+        ("compare", {"other": "a.mcap", "align": "size"}, "--align size: choose one of time, con"),
+    ],
+)
+def test_arguments_are_checked_as_options_are(verb, options, words, frames, sensor):
+    given = (options.pop("frames"),) if "frames" in options else (frames,)
+    if "object" not in options and "other" not in options:
+        given = (*given, sensor)
+    with pytest.raises(bv.InputError, match=words):
+        getattr(bv, verb)(*given, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"model": "wood"}, "--model wood: choose one of None, rubber, linear"),
+        ({"frames": 2.5}, "--frames 2.5: give a whole number"),
+        ({"seed": -1}, "--seed -1: give a whole number of 0 or more"),
+        ({"rate_hz": 0.0}, "--rate 0.0: .* from 0.01 to 10000"),
+    ],
+)
+def test_arguments_of_simulations_are_checked(options, words, sensor):
+    with pytest.raises(bv.InputError, match=words):
+        bv.simulate(sensor, "cylinder", "0 0 0.044 0 0 0 1", **options)
+
+
+def test_a_slice_of_a_simulation_is_saved_alone(sensor, tmp_path):
+    press = Simulation(small_source(sensor, HEIGHTS))
+    press[2:4].save(tmp_path / "some.mcap", tmp_path / "some.npz")
+    with bv.open(tmp_path / "some.mcap") as saved, np.load(tmp_path / "some.npz") as truth:
+        np.testing.assert_array_equal([f.depth_m for f in saved], [f.depth_m for f in press[2:4]])
+        np.testing.assert_allclose(truth["time_s"], saved.times_s, atol=1e-6)
+        np.testing.assert_array_equal(truth["T_B_O"], press.source.poses[2:4])
+        np.testing.assert_array_equal(truth["force_n"], [press.truth(k).force_n for k in (2, 3)])
 
 
 def test_pixels_without_return_may_be_zero(frames, sensor, estimated):

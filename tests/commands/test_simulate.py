@@ -79,7 +79,10 @@ def test_noise_is_reproducible_by_seed(sensor_file, tmp_path):
         (("--object", "sphere", "--path", "missing.csv"), "missing.csv"),
         (("--object", "sphere", "--pose", POSE, "--holes", 1.5), "holes"),
         (("--object", "sphere", "--pose", POSE, "--noise-sigma", -1), "absolute_m"),
-        (("--object", "sphere", "--pose", POSE, "--frames", -2), "--frames -2: give 1 or more"),
+        (
+            ("--object", "sphere", "--pose", POSE, "--frames", -2),
+            "--frames -2: give a whole number",
+        ),
     ],
 )
 def test_bad_input_is_one_line_and_writes_nothing(sensor_file, tmp_path, arguments, words):
