@@ -320,10 +320,15 @@ class FrameSolver:
         if not self._image_errors:
             return ""
         if self._moved > max(1, 0.02 * self._touched):
+            cause, remedy = "", "Let the camera warm up, and check that it is fixed"
+            gas = self.zeros.gas
+            if self._measured_pa is None or (gas is not None and gas.frozen):
+                cause = ", or the gas pressure, which is not measured, is not that of the gas law"
+                remedy = "Record the gas pressure, or check chamber_volume_m3 and the camera"
             return (
                 f"the depth image has drifted between frames without contact and "
-                f"{count_of(self._moved, 'frame')} with contact, whose forces are less certain. "
-                "Let the camera warm up, and check that it is fixed"
+                f"{count_of(self._moved, 'frame')} with contact{cause}; forces of these are less "
+                f"certain. {remedy}"
             )
         estimator = self.pipeline.estimator
         by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)

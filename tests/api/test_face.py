@@ -17,7 +17,7 @@ from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import with_colour_delay
+from bubbleviz.sensor import changed, with_colour_delay
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource
 from tests.program import output_of, python
@@ -105,6 +105,16 @@ def test_a_slice_of_a_simulation_is_saved_alone(sensor, tmp_path):
         np.testing.assert_allclose(truth["time_s"], saved.times_s, atol=1e-6)
         np.testing.assert_array_equal(truth["T_B_O"], press.source.poses[2:4])
         np.testing.assert_array_equal(truth["force_n"], [press.truth(k).force_n for k in (2, 3)])
+
+
+def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(sensor):
+    """The gas law then predicts another shape, which looks like a drift of the camera."""
+    heights = [0.060] * 12 + np.linspace(0.049, 0.036, 10).tolist()
+    frames = [replace(each, gas_pressure_pa=None) for each in small_source(sensor, heights)]
+    given = bv.load_sensor(sensor)
+    warning = bv.estimate(frames, changed(given, pneumatics={"chamber_volume_m3": 5e-4})).warning
+    assert "is not that of the gas law" in warning and "check chamber_volume_m3" in warning
+    assert bv.estimate(frames, given).warning is None
 
 
 def test_pixels_without_return_may_be_zero(frames, sensor, estimated):
