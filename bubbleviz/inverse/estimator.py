@@ -209,7 +209,11 @@ class Estimator:
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
             return no_estimate(self.mesh, "implausible", beyond), Start()
         data = FrameData(self.observer.measure(depth_m), gas, flow, image_errors)
-        return self._solve_frame(newton, data, start)
+        found = self._solve_frame(newton, data, start)
+        if start.state is not None and found[0].status in ("not_converged", "implausible"):
+            # a warm start far from the solution, as after a jump, may fail where rest does not
+            return self._solve_frame(newton, data, Start())
+        return found
 
     def _solve_frame(
         self, newton: GaussNewton, data: FrameData, start: Start

@@ -1,5 +1,6 @@
 """The inverse of the linear membrane, on presses simulated on another mesh."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -106,6 +107,16 @@ def test_warm_and_cold_starts_have_the_same_solution(sphere, untouched):
     (a, start), b = warm.estimate(depth, start=start), first(warm, depth)
     assert np.linalg.norm(a.force_n - b.force_n) < 0.005 * np.linalg.norm(sphere.force)
     assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
+
+
+def test_frame_whose_warm_start_fails_is_solved_from_rest(sphere):
+    """Here it starts from a shape outside the membrane's surroundings."""
+    solver = estimator(1000)
+    cold, start = solver.estimate(sphere.depth(0.01))
+    far = replace(start.state, x=start.state.x + 2.0 * solver.size_m)
+    warm, _ = solver.estimate(sphere.depth(0.01), start=replace(start, state=far))
+    assert warm.status == "ok"
+    np.testing.assert_array_equal(warm.force_n, cold.force_n)
 
 
 def test_seeking_and_playing_have_the_same_solution():
