@@ -48,6 +48,10 @@ if TYPE_CHECKING:
 SensorName = str | Path | Sensor
 Recorded = Sequence[Frame] | str | Path
 """Frames, or the path of a recording."""
+_LINEAR_MODEL = (
+    "linear, as the sensor file has no prestretch: of rubber, deep presses are overstated, "
+    "typically by 24 %"
+)
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
 """Pixels of the patch are computed on first use, or for a file."""
 
@@ -188,6 +192,7 @@ def estimate(
             "kappa": kappa,
             "texture": texture,
             "gas_zero": None if zeros.gas is None else zeros.gas.words,
+            "model": _LINEAR_MODEL if pipeline.model.sensor.membrane.prestretch is None else None,
         }
         any_depth, equal = False, EqualImages()
         if out is not None:

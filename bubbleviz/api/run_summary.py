@@ -20,6 +20,7 @@ _LINES = {
     "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench sensor, "
     "minus its bias without contact",
     "gas_zero": "{}",
+    "model": "model   {}",
     "shear": "{}\n        {texture}",
     "median_total_ms": "time    depth image in → {end}: {:.1f} ms median, "
     "{p95_total_ms:.1f} ms p95",

@@ -107,6 +107,12 @@ def test_a_slice_of_a_simulation_is_saved_alone(sensor, tmp_path):
         np.testing.assert_array_equal(truth["force_n"], [press.truth(k).force_n for k in (2, 3)])
 
 
+def test_summary_says_that_the_linear_model_overstates_rubber(frames, sensor, estimated):
+    assert "no prestretch: of rubber, deep presses are overstated" in estimated.to_text()
+    rubber = changed(bv.load_sensor(sensor), membrane={"prestretch": 1.3})
+    assert "prestretch" not in bv.estimate(frames[:1], rubber).to_text()
+
+
 def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(sensor):
     """The gas law then predicts another shape, which looks like a drift of the camera."""
     heights = [0.060] * 12 + np.linspace(0.049, 0.036, 10).tolist()
