@@ -113,6 +113,16 @@ def test_summary_says_that_the_linear_model_overstates_rubber(frames, sensor, es
     assert "prestretch" not in bv.estimate(frames[:1], rubber).to_text()
 
 
+def test_depth_rounded_by_more_than_the_noise_hides_gives_a_warning(frames, sensor):
+    rounded = [replace(each, depth_m=np.round(each.depth_m, 3)) for each in frames]
+    fine, noisy = (
+        changed(bv.load_sensor(sensor), camera={"noise_relative": sigma}) for sigma in (1e-3, 0.01)
+    )
+    assert "rounded to whole millimetres" in (bv.estimate(rounded, fine).warning or "")
+    for images, own in ((rounded, noisy), (list(frames), fine)):
+        assert "rounded" not in (bv.estimate(images, own).warning or "")
+
+
 def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(sensor):
     """The gas law then predicts another shape, which looks like a drift of the camera."""
     heights = [0.060] * 12 + np.linspace(0.049, 0.036, 10).tolist()
