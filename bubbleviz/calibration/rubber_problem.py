@@ -137,8 +137,7 @@ class RubberProblem:
         self._surfaces, self._rest, self._mesh = found.surfaces, found.samples, found.mesh
         rest, mesh = self._rest, self._mesh
         self._gauge_pa = gauge_pa = found.material.gauge.value
-        # relative, of the stress from shape and gauge pressure
-        self._stress_sigma = found.material.of_shape.sigma / found.material.of_shape.value
+        self._stress_sigma = found.material.stress_sigma
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
         film, sheet = _film_stress(mesh), self._surfaces.as_flat_sheet

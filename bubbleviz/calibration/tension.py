@@ -110,6 +110,17 @@ class MaterialEstimate:
         return self.of_shape.value / self.gauge.value
 
     @property
+    def stress_sigma(self) -> float:
+        """Relative standard deviation of a film's stress at a given gauge pressure, by its shape.
+
+        What the shape leaves open and the noise of the gas pressure are unknowns of the rubber's
+        fit themselves.
+        """
+        parts = self.shape_parts.items()
+        own = [part for name, part in parts if name not in ("statics", "gas_pressure")]
+        return float(np.linalg.norm(own)) / self.of_shape.value
+
+    @property
     def parts(self) -> dict[str, float]:
         """Standard deviation of γ0 by every source, `gauge_pressure` where it is known, N/m."""
         if not self.gauge.known:

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import lfilter
 from small_press import record
 
-from bubbleviz.calibration import collect, open_chamber, with_rubber
+from bubbleviz.calibration import Quantity, collect, open_chamber, with_rubber
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, prestressed
 from bubbleviz.recordings import Frame
@@ -168,6 +168,21 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     assert known.prestretch.value == pytest.approx(SHEET.prestretch, abs=0.02)
     width = known.prestretch.half_width
     assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
+
+
+def test_tension_that_shape_leaves_open_does_not_widen_the_prestretch(found, vented):
+    """The fit has the stress between film and flat sheet as an unknown: once is enough."""
+    levels, known = [level(found, share) for share in (0.85, 1.15)], opened(found, vented)
+    shape, parts = known.material.of_shape, known.material.shape_parts
+    open_part = 0.05 * shape.value
+    uneven = replace(
+        known.material,
+        of_shape=Quantity.normal(shape.value, float(np.hypot(shape.sigma, open_part))),
+        shape_parts=parts | {"statics": open_part},
+    )
+    usual = with_rubber(known, levels).prestretch
+    same = with_rubber(replace(known, material=uneven), levels).prestretch
+    assert same.half_width == pytest.approx(usual.half_width, rel=1e-3)
 
 
 @pytest.mark.parametrize("off", [-0.02, pytest.param(0.02, marks=pytest.mark.long)])
