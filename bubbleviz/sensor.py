@@ -183,7 +183,7 @@ class Calibration(Section):
     date: str | None = None  # ISO 8601, UTC
     tension_interval_n_per_m: tuple[float, float] | None = None  # 95 % interval of γ0
     gauge_interval_pa: tuple[float, float] | None = None
-    """95 % interval of the gauge pressure, if measured."""
+    """95 % interval of the gauge pressure."""
     gauge_from: str | None = None  # source of the gauge pressure
     prestretch_interval: tuple[float, float] | None = None
     """95 % interval of λ, if measured."""

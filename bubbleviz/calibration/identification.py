@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
 _FILE = "the sensor file"
+_UNCERTAIN_FILE = f"{_FILE}, which gives no gauge_sigma_pa"
 _VENT = "give the recording of the open chamber"
 
 
@@ -105,13 +106,12 @@ class Identification:
         """Range of the reference surface, (H, W), m; NaN where the ray misses it."""
         return self.samples.statistics.range_m - self.surfaces.residual_m
 
-    def _pressures(self) -> dict[str, float | None]:
+    def _pressures(self) -> dict[str, float]:
         """Pressures and γ0 for the sensor file."""
         gauge = self.material.gauge
-        sigma = max(round(gauge.sigma, 1), _RESOLUTION_PA) if gauge.known else None
         values = {
             "gauge_pressure_pa": round(gauge.value, 1),
-            "gauge_sigma_pa": sigma,
+            "gauge_sigma_pa": max(round(gauge.sigma, 1), _RESOLUTION_PA),
             "tension_n_per_m": round(self.tension_n_per_m, 3),
         }
         if self.samples.gas_pressure_pa is not None:
@@ -143,7 +143,8 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     With the pressure of the open chamber, the difference of both recorded gas pressures. Else the
     sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
     recorded pressure less the sensor file's atmospheric pressure, with the deviation of weather,
-    and of altitude if that is the standard atmosphere.
+    and of altitude if that is the standard atmosphere. The same deviation has a gauge pressure in
+    the file without one, since it may have been found in that way.
     """
     pneumatics = sensor.pneumatics
     gauge, sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
@@ -158,6 +159,8 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
             f"{vented.source} does not determine the gauge pressure; record it in all of "
             "them, or give no open chamber (--vented)"
         )
+    if sigma is None:
+        return Quantity.normal(gauge, pneumatics.atmospheric_sigma_pa, _UNCERTAIN_FILE)
     return Quantity.normal(gauge, sigma, _FILE)
 
 

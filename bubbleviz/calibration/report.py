@@ -115,15 +115,15 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
-    if (gauge := found.material.gauge).known:
-        known["gauge_interval_pa"] = round(gauge.low, 1), round(gauge.high, 1)
-        known["gauge_from"] = gauge.source
+    gauge = found.material.gauge
     if (stretch := found.prestretch) is not None:
         known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
         known["prestretch_from"] = stretch.source
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
+        gauge_interval_pa=(round(gauge.low, 1), round(gauge.high, 1)),
+        gauge_from=gauge.source,
         **known,
     )
     where = {"folder": path.parent, "file": path.name}

@@ -63,7 +63,7 @@ class SensorComparison:
         }
         names = list(intervals)
         intervals["height"] = new.material.dimensions["height_m"]
-        half = {name: each.half_width for name, each in intervals.items() if each and each.known}
+        half = {name: each.half_width for name, each in intervals.items() if each}
         old_half: dict[str, float] = {}
         if known is not None:
             ends = (

@@ -28,14 +28,9 @@ class Quantity:
     """A value with its 95 % interval, in one SI unit."""
 
     value: float
-    low: float  # NaN, as `high`: of unknown error
+    low: float
     high: float
     source: str = ""  # what determines it, for reports
-
-    @property
-    def known(self) -> bool:
-        """Whether its error is known."""
-        return bool(np.isfinite(self.half_width))
 
     @property
     def half_width(self) -> float:
@@ -58,10 +53,9 @@ class Quantity:
         return value, low, high
 
     @classmethod
-    def normal(cls, value: float, sigma: float | None, source: str = "") -> Quantity:
-        """With a normal error of a standard deviation; None: unknown."""
-        half = np.nan if sigma is None else HALF_95 * sigma
-        return cls(value, value - half, value + half, source)
+    def normal(cls, value: float, sigma: float, source: str = "") -> Quantity:
+        """With a normal error of a standard deviation."""
+        return cls(value, value - HALF_95 * sigma, value + HALF_95 * sigma, source)
 
 
 @dataclass(frozen=True)
@@ -84,7 +78,7 @@ class MaterialEstimate:
     # γ0 of the mesh by least squares over its nodes instead of the overall balance; smaller where
     # the mean curvature varies, so that no uniform tension fits
     least_squares_n_per_m: float
-    gauge: Quantity  # gauge pressure, Pa; γ0's interval includes its error where that is known
+    gauge: Quantity  # gauge pressure, Pa; γ0's interval includes its error
     prestretch: Quantity | None = None  # λ; None: not determined
     why_not: str = "neither levels nor a held press were used"  # to determine λ
     shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
@@ -122,21 +116,16 @@ class MaterialEstimate:
 
     @property
     def parts(self) -> dict[str, float]:
-        """Standard deviation of γ0 by every source, `gauge_pressure` where it is known, N/m."""
-        if not self.gauge.known:
-            return self.shape_parts
+        """Standard deviation of γ0 by every source: those of the shape, `gauge_pressure`, N/m."""
         return self.shape_parts | {"gauge_pressure": self.per_pascal * self.gauge.sigma}
 
     @property
     def tension(self) -> Quantity:
         """γ0, N/m, of the chosen surface."""
-        shape, other = self.of_shape, HALF_95 * self.parts.get("gauge_pressure", 0.0)
+        shape, other = self.of_shape, self.per_pascal * self.gauge.half_width
         low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
         ends = shape.value - low, shape.value + high
-        source = "shape and gauge pressure"
-        if not self.gauge.known:
-            source = "shape, relative to the sensor file's gauge pressure"
-        return Quantity(shape.value, *ends, source)
+        return Quantity(shape.value, *ends, "shape and gauge pressure")
 
     def under(self, gauge: Quantity) -> MaterialEstimate:
         """The same estimate for another gauge pressure with its interval."""

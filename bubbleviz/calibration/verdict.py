@@ -62,16 +62,9 @@ def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
     if relative > _USABLE or found.material.contradicts_file:
         grade = "doubtful"
     value, low, high = tension.texts(2)
-    gauge = found.material.gauge
-    condition = f"at {pressure(gauge.value)} gauge pressure"
-    if not gauge.known:
-        condition = (
-            f"at an assumed gauge pressure of {pressure(gauge.value)}, to which γ0 and every force "
-            "are proportional"
-        )
     summary = (
-        f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high}"
-        f" ({_percent(relative)} either way), {condition}"
+        f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high} ({_percent(relative)} either"
+        f" way), at {pressure(found.material.gauge.value)} gauge pressure"
     )
     pressed = () if found.validation is None else (found.validation.summary,)
     advice = (_surface(found), *warnings, *pressed)
@@ -91,19 +84,19 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     """Reasons to grade an identification below good."""
     material, surfaces = found.material, found.surfaces
     out = []
-    if found.samples.gas_pressure_pa is None:
-        out.append(
-            "Not every contact-free frame has a gas pressure, so γ0 is computed from the sensor "
-            f"file's gauge pressure, and an error there of {pressure(100.0)} changes γ0 by"
-            f" {100 * material.per_pascal:.2f} N/m. Record the gas pressure, or measure the gauge"
-            " pressure and enter it in the sensor file."
-        )
     gauge, candidates = material.gauge, material.gauge_candidates
+    known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
     change = gauge.value / found.given.pneumatics.gauge_pressure_pa - 1.0
     local = ", or enter the atmospheric pressure of the place in the sensor file"
     if found.given.pneumatics.atmosphere_is_local:
         local = ""
-    if candidates is not None and material.contradicts_file:
+    if found.samples.gas_pressure_pa is None:
+        out.append(
+            "Not every contact-free frame has a gas pressure, so γ0 and every force rest on the "
+            f"sensor file's gauge pressure, {known_to}: record the gas pressure, or measure the "
+            "gauge pressure and enter it with its standard deviation, gauge_sigma_pa."
+        )
+    elif candidates is not None and material.contradicts_file:
         shapes, file = (_interval(each, pressure) for each in candidates)
         out.append(
             f"Gauge pressure: {shapes} from the {material.shapes_kind}, {file} from "
@@ -112,8 +105,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     elif gauge.half_width > _USABLE * gauge.value:
         out.append(
-            f"The gauge pressure is known to ±{_percent(gauge.half_width / gauge.value)}, and every"
-            f" force no better: record the open chamber for ten seconds (--vented){local}."
+            f"The gauge pressure is {known_to}, and every force no better: record the open chamber"
+            f" for ten seconds (--vented){local}."
         )
     if candidates is None and abs(change) > _USABLE:
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
@@ -138,7 +131,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     value, least = material.tension.value, material.least_squares_n_per_m
     apart = abs(least - value)
-    if apart > max(_GOOD * value, material.tension.half_width):
+    if apart > max(_GOOD * value, material.of_shape.half_width):
         out.append(
             f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
             f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
@@ -161,8 +154,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> tuple
         chamber = "record the gas pressure, and the open chamber (--vented)"
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
     low, high = map(pressure, gauge.positive)
-    interval = f"95 % interval {low} to {high}" if gauge.known else "error unknown"
-    gauge_text = f"{pressure(gauge.value)}, {interval}"
+    gauge_text = f"{pressure(gauge.value)}, 95 % interval {low} to {high}"
     part = max(material.parts, key=lambda name: material.parts[name])
     of_tension = {
         "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
@@ -199,4 +191,4 @@ def _interval(gauge: Quantity, pressure: PressureText) -> str:
 
 
 def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %"
+    return f"{float(f'{100 * share:.2g}'):g} %"  # not 3.9e+02

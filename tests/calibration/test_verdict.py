@@ -40,7 +40,7 @@ def ball():
     found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
     gas = np.full(20, 1e5 + found.material.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
-    return with_tension(with_seen_share(replace(found, samples=samples), 1.0), 0.01)
+    return gauged(with_seen_share(replace(found, samples=samples), 1.0), 1.0)
 
 
 def with_tension(found, relative, **changes):
@@ -58,7 +58,7 @@ def in_frames(found, frames):
 
 def gauged(found, share):
     given = found.given.pneumatics.gauge_pressure_pa
-    return with_tension(found, 0.01, gauge=Quantity.normal(share * given, None))
+    return with_tension(found, 0.01, gauge=Quantity.normal(share * given, 0.0))
 
 
 def without_gas(found):
@@ -117,7 +117,7 @@ def test_warning_appears_beyond_its_limit(ball, change, said):
 
 def test_parameters_list_their_origin_and_how_to_improve_them(ball):
     tension, gauge, stretch = judge(ball).parameters
-    assert "error unknown" in gauge.value and "(--vented)" in gauge.narrower
+    assert "95 % interval" in gauge.value and "(--vented)" in gauge.narrower
     assert stretch.value == "not determined" and "(--level)" in stretch.narrower
     parts = ball.material.parts
     for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():

@@ -106,7 +106,7 @@ class RectificationPage(Page):
             if stretch is not None:
                 text = "{}, 95 % interval {} … {}".format(*stretch.texts(3))
             pressure = self.units.gas_pressure.with_interval(gauge.value, gauge.half_width)
-            shown = text, pressure if gauge.known else None, gauge.source
+            shown = text, pressure, gauge.source
         for name, each in zip(names, shown, strict=True):
             self.numbers.set(name, each)
 
