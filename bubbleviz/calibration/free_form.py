@@ -7,12 +7,13 @@ The correction c is the P1 field that minimises
 
 with mass M and stiffness L of the mesh: bending energy at scales below ℓ, decay to the cap (zero)
 where nothing is measured. λ is chosen by cross-validation over tiles of pixels: a smaller one fits
-the camera's fixed pattern, a larger one misses part of the shape.
+the camera's fixed pattern, a larger one misses part of the shape. The score is a mean over shifted
+tiles, and its minimum that of a parabola, so that λ hardly depends on where the tiles lie.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -25,9 +26,11 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
 
 FOLDS = 5  # of the cross-validation; the usual number
-_SMOOTHING = 10.0 ** np.arange(-4.0, 4.5, 0.5)  # λ tried, over the one of equal traces
-LeftOut = Callable[[int], tuple[float, np.ndarray]]
-"""Weighted rms, m, and errors (k,) float32 of the λ at a place in `_SMOOTHING`."""
+_SHIFTS = (0.0, 0.0), (1.0 / 3.0, 2.0 / 3.0), (2.0 / 3.0, 1.0 / 3.0)
+"""Of the tiles by rows and columns, over their side."""
+_TRIED = 8  # half decades of λ tried below and above the one of equal traces
+LeftOut = Callable[[float], np.ndarray]
+"""Errors (k,) float32, m, at a λ in half decades over that of equal traces."""
 _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres
 
 
@@ -65,9 +68,10 @@ def fit_free_form(
     caster = RayCaster(camera.center, camera.directions, start.triangles)
     pixels = np.flatnonzero((use & np.isfinite(range_m)).ravel())
     prior = _prior(start, scale_m)
-    fold = fold_of(pixels, use.shape[1], tile_px)
+    folds = [fold_of(pixels, use.shape[1], tile_px, shift) for shift in _SHIFTS]
+    searches = folds[:1], folds  # for a first λ, and for λ; later rounds move by micrometres
     correction = np.zeros(len(start.nodes))
-    place, left_out_rms = len(_SMOOTHING) // 2, np.nan
+    place, left_out_rms = 0.0, np.nan
     left_out_image, triangle = np.full(range_m.size, np.nan), None
     for k in range(_RELINEARISATIONS):
         nodes = start.nodes + correction[:, None] * arms
@@ -82,12 +86,14 @@ def fit_free_form(
         weights = tukey_weights(about, sigma)
         # λ at which data and prior have equal trace
         unit = float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
-        if k < 2:  # later rounds move by micrometres: λ stays
-            errors = _left_out(D, target, weights, fold[hit], prior * unit)
-            place = _best(errors, place, 2 - k)
-            left_out_rms, left_out_image[hits.ray] = errors(place)
+        if k < len(searches):
+            left_out = [
+                _left_out(D, target, weights, fold[hit], prior * unit) for fold in searches[k]
+            ]
+            place, left_out_rms = _best(left_out, weights / weights.sum(), round(place))
+            left_out_image[hits.ray] = left_out[0](place)
         weighted = D.multiply(weights[:, None]).tocsr()
-        normal = symmetric_lu((weighted.T @ D + prior * (unit * _SMOOTHING[place])).tocsc())
+        normal = symmetric_lu((weighted.T @ D + prior * (unit * _smoothing(place))).tocsc())
         correction = normal.solve(weighted.T @ target)
         progress("free-form surface", (k + 1) / _RELINEARISATIONS)
     mesh = replace(start, nodes=start.nodes + correction[:, None] * arms)
@@ -128,10 +134,18 @@ def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:
     return (operator @ sparse.diags_array(1.0 / mesh.areas) @ operator).tocsc()
 
 
-def fold_of(pixels: np.ndarray, width: int, tile_px: int) -> np.ndarray:
+def _smoothing(place: float) -> float:
+    """λ over that of equal traces."""
+    return float(10.0 ** (0.5 * place))
+
+
+def fold_of(
+    pixels: np.ndarray, width: int, tile_px: int, shift: tuple[float, float] = _SHIFTS[0]
+) -> np.ndarray:
     """Fold 0 … 4 of each pixel: all pixels of a tile share one; neighbouring tiles differ."""
+    down, right = (int(each * tile_px) for each in shift)
     row, column = np.divmod(pixels, width)
-    return (row // tile_px * 2 + column // tile_px) % FOLDS
+    return ((row + down) // tile_px * 2 + (column + right) // tile_px) % FOLDS
 
 
 def _left_out(
@@ -142,7 +156,7 @@ def _left_out(
     prior: sparse.csc_array,  # n×n, added to the normal matrix
 ) -> LeftOut:
     """Errors of linear least squares with the prior times λ, fitted without the fold of a row."""
-    share, weighted = weights / weights.sum(), D.multiply(weights[:, None]).tocsr()
+    weighted = D.multiply(weights[:, None]).tocsr()
     matrix, right = weighted.T @ D, weighted.T @ target
     folds = []
     for k in range(FOLDS):
@@ -152,21 +166,32 @@ def _left_out(
         folds.append((own, of_fold, target_of_fold, *rest))
 
     @cache
-    def at(place: int) -> tuple[float, np.ndarray]:
+    def at(place: float) -> np.ndarray:
         errors = np.empty(len(target), np.float32)
         for own, of_fold, target_of_fold, rest, rest_right in folds:
-            solution = symmetric_lu(rest + prior * _SMOOTHING[place]).solve(rest_right)
+            solution = symmetric_lu(rest + prior * _smoothing(place)).solve(rest_right)
             errors[own] = target_of_fold - of_fold @ solution
-        return float(np.sqrt(errors.astype(float) ** 2 @ share)), errors
+        return errors
 
     return at
 
 
-def _best(errors: LeftOut, place: int, step: int) -> int:
-    """Place of the λ with the smallest error, by descent from another in steps."""
-    while True:
-        near = [k for k in (place, place - step, place + step) if 0 <= k < len(_SMOOTHING)]
-        better = min(near, key=lambda k: errors(k)[0])
-        if better == place:
-            return place
+def _best(left_out: Sequence[LeftOut], share: np.ndarray, place: int) -> tuple[float, float]:
+    """λ with the smallest mean square error over all tiles, in half decades, and the rms, m.
+
+    By descent from a place in half decades, then a parabola through the last three.
+    """
+
+    @cache
+    def square(place: int) -> float:
+        if abs(place) > _TRIED:
+            return np.inf
+        return float(np.mean([errors(place).astype(float) ** 2 @ share for errors in left_out]))
+
+    while (better := min((place, place - 1, place + 1), key=square)) != place:
         place = better
+    below, least, above = (square(place + step) for step in (-1, 0, 1))
+    slope, bend = 0.5 * (above - below), above - 2.0 * least + below
+    if not 0.0 < bend < np.inf:  # at an end of what was tried
+        return place, float(np.sqrt(least))
+    return place - slope / bend, float(np.sqrt(least - 0.5 * slope**2 / bend))

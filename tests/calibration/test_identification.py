@@ -1,12 +1,14 @@
 """Complete identification of a synthetic twin of the real press."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import write_sensor
+from bubbleviz.calibration import Settings, Step, Workbench, write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import balance_tension, build_mesh
+from bubbleviz.membrane import balance_tension, build_mesh, least_squares_tension
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
 from tests.small_press import changed
@@ -53,6 +55,28 @@ def test_surface_equals_ground_truth_and_beats_the_ellipsoid(twin, found):
     rms = np.sqrt(np.nanmean(error**2))
     assert rms < 0.1e-3
     assert rms < 0.5 * found.surfaces.left_out_rms_m["ellipsoid"]
+
+
+def test_surface_hardly_depends_on_the_place_in_the_image():
+    """Tiles of the cross-validation lie elsewhere; another half decade of λ would be 1.4 %."""
+    twin, tensions = make_twin(seed=6, frames=20), []
+    lens = twin.intrinsics
+    for rows, columns in ((3, 5), (7, 7)):
+        moved = replace(
+            twin,
+            depth=np.pad(twin.depth, ((0, 0), (rows, 0), (columns, 0)), constant_values=np.nan),
+            intrinsics=replace(
+                lens,
+                width=lens.width + columns,
+                height=lens.height + rows,
+                cx=lens.cx + columns,
+                cy=lens.cy + rows,
+            ),
+        )
+        settings = Settings(Step.SURFACE, ((0, 20),), nodes=300, surface="free-form", search=False)
+        surfaces = Workbench(moved, nominal_sensor()).work(settings).surfaces
+        tensions.append(least_squares_tension(surfaces.mesh, GAUGE))
+    assert tensions[0] == pytest.approx(tensions[1], rel=0.007)
 
 
 def test_faulty_pixels_are_excluded(twin, found):
