@@ -83,6 +83,9 @@ class Membrane(Section):
     mesh_file: str | None = None
     prestretch: float | None = Field(default=None, gt=1.0, le=10.0)
     """λ of the rubber at rest; absent: constant tension."""
+    sheet_share: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Share of an initially flat sheet in the stress that shape and pressure leave open, as on oval
+    rims; absent: 0, the stress of a film."""
     nodes: int = Field(default=800, ge=30, le=100_000)
 
     @model_validator(mode="after")
@@ -188,6 +191,7 @@ class Calibration(Section):
     prestretch_interval: tuple[float, float] | None = None
     """95 % interval of λ, if measured."""
     prestretch_from: str | None = None  # source of λ
+    sheet_share_interval: tuple[float, float] | None = None  # 95 % interval
     edited: tuple[str, ...] | None = None
     """Keys of values changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
@@ -243,6 +247,7 @@ MEASURED = {
     "pneumatics.tension_n_per_m": ("tension_interval_n_per_m",),
     "pneumatics.gauge_pressure_pa": ("gauge_interval_pa", "gauge_from"),
     "membrane.prestretch": ("prestretch_interval", "prestretch_from"),
+    "membrane.sheet_share": ("sheet_share_interval",),
 }
 """Keys of `Calibration` that describe a value, by the key of the value."""
 

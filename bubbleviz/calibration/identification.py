@@ -85,11 +85,13 @@ class Identification:
         """
         statistics, surfaces = self.samples.statistics, self.surfaces
         pneumatics = self.given.pneumatics.model_copy(update=self._pressures())
-        prestretch = self.given.membrane.prestretch
+        rubber = self.given.membrane.model_dump(include={"prestretch", "sheet_share"})
         if self.prestretch is not None:
-            prestretch = round(self.prestretch.value, 4)
+            share = self.material.sheet_share
+            rubber["prestretch"] = round(self.prestretch.value, 4)
+            rubber["sheet_share"] = share and round(min(max(share.value, 0.0), 1.0), 3)
         update = {
-            "membrane": _membrane_section(surfaces, prestretch),
+            "membrane": _membrane_section(surfaces).model_copy(update=rubber),
             "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
             "camera": _camera_section(self.given.camera, surfaces.camera, statistics, self.pixels),
             "calibration": None,
@@ -214,7 +216,7 @@ def _not_above(name: str, gauge: float, air: float, whose: str, remedy: str) -> 
     )
 
 
-def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
+def _membrane_section(surfaces: Surfaces) -> Membrane:
     section = Membrane(shape="mesh", mesh_file="membrane.ply", nodes=len(surfaces.mesh.nodes))
     if surfaces.chosen == "sphere":
         cap = surfaces.sphere.cap_above_rim
@@ -224,7 +226,7 @@ def _membrane_section(surfaces: Surfaces, prestretch: float | None) -> Membrane:
             height_m=round(cap.height_m, 7),
             nodes=section.nodes,
         )
-    return section.model_copy(update={"prestretch": prestretch})
+    return section
 
 
 def _camera_section(

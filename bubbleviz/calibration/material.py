@@ -122,7 +122,10 @@ def _fitted(
     wide = Quantity.normal(q, float(np.sqrt(variance)))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, high, low))
-    return replace(known, prestretch=Quantity(value, low, high, source), why_not="")
+    stretch, share = Quantity(value, low, high, source), None
+    if found.surfaces.chosen != "sphere" and found.surfaces.as_flat_sheet is not None:
+        share = Quantity.normal(float(values[1, 2]), float(np.sqrt(covariance[2, 2])), source)
+    return replace(known, prestretch=stretch, sheet_share=share, why_not="")
 
 
 def _sigma_of_mean(known: MaterialEstimate, mean: Quantity) -> float:

@@ -119,6 +119,8 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
     if (stretch := found.prestretch) is not None:
         known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
         known["prestretch_from"] = stretch.source
+    if (share := found.material.sheet_share) is not None:
+        known["sheet_share_interval"] = round(share.low, 3), round(share.high, 3)
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
@@ -228,6 +230,7 @@ def _rubber(found: Identification) -> dict[str, Any]:
     return {
         "prestretch": material.prestretch and asdict(material.prestretch),
         "prestretch_from": material.prestretch and material.prestretch.source,
+        "sheet_share": material.sheet_share and asdict(material.sheet_share),
         "why_not_determined": material.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge),
         "gauge_from": material.gauge.source,

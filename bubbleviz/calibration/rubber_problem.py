@@ -141,7 +141,7 @@ class RubberProblem:
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
         film, sheet = _film_stress(mesh), self._surfaces.as_flat_sheet
-        self._open_stress = np.zeros_like(film) if sheet is None else sheet[0] - film
+        self._open_stress = np.zeros_like(film) if sheet is None else sheet[0].on(mesh) - film
         rubber = _rest_rubber(mesh, self._slack_m, film, self._open_stress)
         self._rubber = lru_cache(maxsize=3)(rubber)
         self._shapes, self._pressed = shapes, pressed
@@ -285,14 +285,14 @@ class RubberProblem:
     def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Least squares over the shapes alone, and with a prior of relative σ on G.
 
-        Returns q and G over the initial one of both, (2, 2), their covariances with model errors,
-        (2, 2, 2), and the robust rms of the residuals of the second, m.
+        Returns q, G over the initial one and share of both, (2, 3), their covariances with model
+        errors, (2, 3, 3), and the robust rms of the residuals of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
         alone, temper = self._alone()
         covariance = self._covariance(alone, np.inf, temper)[0]
         vector = self._minimise(alone, self._scale(alone), gauge_sigma, temper)
-        both = np.stack([alone[:2], vector[:2]])
+        both = np.stack([alone[:_MATERIAL], vector[:_MATERIAL]])
         covariances = np.stack([covariance, self._covariance(vector, gauge_sigma, temper)[0]])
         return both, covariances, robust_sigma(self._residuals(vector), center=0.0)
 
@@ -382,7 +382,7 @@ class RubberProblem:
     def _covariance(
         self, vector: np.ndarray, gauge_sigma: float, temper: float
     ) -> tuple[np.ndarray, float]:
-        """Of q and G, (2, 2), with the variance of G by the shapes over that by white noise."""
+        """Of q, G and share, with the variance of G by the shapes over that by white noise."""
         (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector).ravel()
         root, change_m = self._root.ravel() / self._scale(vector), self._change_m.ravel()
         root, z = np.nan_to_num(root), residuals * root
@@ -394,21 +394,21 @@ class RubberProblem:
         prior = smooth + priors.T @ priors
 
         def step(weight: np.ndarray) -> np.ndarray:
-            """Step of q and G under other weights of the range residuals."""
+            """Step of q, G and share under other weights of the range residuals."""
             right = rows.T @ (weight * z_known) - prior @ vector + priors.T @ prior_values
             normal = rows.T @ (weight[:, None] * rows) + prior
-            return np.linalg.solve(normal, right)[:2]
+            return np.linalg.solve(normal, right)[:_MATERIAL]
 
         by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
-        inverse = np.linalg.inv(by_data + priors.T @ priors)[:2]
-        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 2)
+        inverse = np.linalg.inv(by_data + priors.T @ priors)[:_MATERIAL]
+        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 3)
         known = np.nan_to_num(residuals)
-        errors = [  # (2,) each, of q and G, by one source of error
+        errors = [  # (3,) each, of q, G and share, by one source of error
             (self._mesh.edge_length * 0.5 * mean_curvature(self._mesh)) ** 2
             * (influence.T @ (change_m - known)),
             -self._stress_sigma * (influence.T @ by_stress),
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
-            np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0]),
+            np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0, 0.0]),
         ]
         for rubber, at_rest_m in self._other_rubbers:
             other = self._predicted(vector, rubber(*vector[[0, 2]].tolist()))
@@ -460,15 +460,15 @@ class RubberProblem:
 
     def _noise(
         self,
-        influence: np.ndarray,  # (S·B, 2), of every change of range
+        influence: np.ndarray,  # (S·B, 3), of every change of range
         residual_m: np.ndarray,  # (S·B,)
     ) -> np.ndarray:
-        """Covariance (2, 2) by the noise of all frames and the residuals of the model."""
+        """Covariance (3, 3) by the noise of all frames and the residuals of the model."""
         shapes = len(self._shapes)
         influences, residuals = np.split(influence, shapes), np.split(residual_m, shapes)
         influences.insert(0, -np.sum(influences, axis=0))
         residuals.insert(0, np.zeros(len(influences[0])))
-        observer, total = self._observer, np.zeros((2, 2))
+        observer, total = self._observer, np.zeros((_MATERIAL, _MATERIAL))
         for (statistics, every_m), own, residual in zip(
             self._observed, influences, residuals, strict=True
         ):
@@ -483,7 +483,7 @@ class RubberProblem:
                     np.full(len(used), np.inf),
                     own[used],
                     residual[used],
-                    2,
+                    _MATERIAL,
                 )
             )
         return total

@@ -18,7 +18,6 @@ import numpy as np
 from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.flat_sheet import as_flat_sheet
 from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.calibration.segmentation import (
@@ -28,7 +27,7 @@ from bubbleviz.calibration.segmentation import (
     rim_height,
 )
 from bubbleviz.camera import DepthCamera, MembraneView, facet_error
-from bubbleviz.membrane import MembraneMesh, mesh_cap
+from bubbleviz.membrane import MembraneMesh, Prestress, as_flat_sheet, mesh_cap
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_weights
 
@@ -70,7 +69,7 @@ class Surfaces:
     motion_m: float  # largest motion of the dome between frames beyond noise, m
 
     @cached_property
-    def as_flat_sheet(self) -> tuple[np.ndarray, float] | None:
+    def as_flat_sheet(self) -> tuple[Prestress, float] | None:
         """Stress and excess of tension of an initially flat sheet, see `as_flat_sheet`."""
         return as_flat_sheet(self.mesh)
 

@@ -80,6 +80,8 @@ class MaterialEstimate:
     least_squares_n_per_m: float
     gauge: Quantity  # gauge pressure, Pa; γ0's interval includes its error
     prestretch: Quantity | None = None  # λ; None: not determined
+    # share of an initially flat sheet in the stress that a rim leaves open; None: not determined
+    sheet_share: Quantity | None = None
     why_not: str = "neither levels nor a held press were used"  # to determine λ
     shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
     # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the

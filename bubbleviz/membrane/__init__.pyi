@@ -1,6 +1,9 @@
 from .equilibrium import (
     RubberContact as RubberContact,
 )
+from .flat_sheet import (
+    as_flat_sheet as as_flat_sheet,
+)
 from .forward_model import (
     Contact as Contact,
     ForwardModel as ForwardModel,

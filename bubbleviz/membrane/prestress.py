@@ -164,6 +164,10 @@ class Prestress:
         """Field of the same surface under a pressure larger by a factor."""
         return Prestress(factor * self.weights)
 
+    def towards(self, other: Prestress, share: float) -> Prestress:
+        """Field at a share of the way to another one of the same surface."""
+        return Prestress(self.weights + share * (other.weights - self.weights))
+
     def on(self, mesh: MembraneMesh) -> np.ndarray:
         """Stress on any mesh of the surface, (m, 2, 2), N/m³.
 

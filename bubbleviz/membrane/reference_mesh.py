@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from bubbleviz.errors import InputError
+from bubbleviz.membrane.flat_sheet import as_flat_sheet
 from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.meshing import EllipsoidalCap, load_membrane, mesh_cap, spherical_cap
 from bubbleviz.membrane.prestress import Prestress, prestressed
@@ -76,7 +77,12 @@ def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
     """Stress of the reference surface under the gauge pressure; None for constant tension."""
     if sensor.membrane.prestretch is None:
         return None
-    return Prestress.of(mesh, sensor.pneumatics.gauge_pressure_pa)
+    gauge, share = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.sheet_share
+    film = Prestress.of(mesh, gauge)
+    sheet = as_flat_sheet(mesh) if share else None
+    if share is None or sheet is None:
+        return film
+    return film.towards(sheet[0].times(gauge), share)
 
 
 def build_rubber(
@@ -97,6 +103,7 @@ def build_rubber(
     if prestretch is None:
         return RubberMembrane.uniform(mesh, gauge, tension_n_per_m, None, rim_slack_m)
     mu_h = shear_stiffness(tension_n_per_m, prestretch)
+    stress = rest_stress(sensor, mesh) if stress is None else stress
     return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)
 
 
@@ -107,16 +114,16 @@ def varied_rubber(
     rim_slack_m: float | None = None,
     stress: Prestress | None = None,
 ) -> list[RubberMembrane]:
-    """Copies of the membrane, each with one of γ0, gauge pressure and λ raised by its σ.
+    """Copies of the membrane, each with one of γ0, G, λ and share of stress raised by its σ.
 
     Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
     also by its standard deviation in the sensor file. Parameters as of `build_rubber`.
-    Stress at rest follows from shape and gauge pressure, whatever the material. γ0 is proportional
-    to the gauge pressure (Young–Laplace), so its own copy is raised only by the part of its σ that
-    the gauge pressure does not explain.
+    Stress at rest follows from shape, gauge pressure and share, whatever the material. γ0 is
+    proportional to the gauge pressure (Young–Laplace), so its own copy is raised only by the part
+    of its σ that the gauge pressure does not explain.
     """
     pneumatics, varied = sensor.pneumatics, []
-    tension, gauge, stretch = _deviations(sensor, tension_n_per_m)
+    tension, gauge, stretch, share = _deviations(sensor, tension_n_per_m)
     if tension:
         varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m, stress))
     if gauge:
@@ -128,6 +135,9 @@ def varied_rubber(
     if stretch and sensor.membrane.prestretch is not None:
         other = changed(sensor, membrane={"prestretch": sensor.membrane.prestretch + stretch})
         varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, stress))
+    if share and sensor.membrane.sheet_share is not None:
+        other = changed(sensor, membrane={"sheet_share": sensor.membrane.sheet_share + share})
+        varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m))
     return varied
 
 
@@ -137,25 +147,26 @@ def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
     From the errors of γ0 and of the gauge pressure and, if the sensor is calibrated and thus
     rubber, from the difference between rubber and constant tension.
     """
-    tension, gauge, _ = _deviations(sensor, tension_n_per_m)
+    tension, gauge, *_ = _deviations(sensor, tension_n_per_m)
     rubber = 0.0 if sensor.calibration is None else _CONSTANT_TENSION_ERROR
     by_gauge = gauge / sensor.pneumatics.gauge_pressure_pa
     return float(np.linalg.norm([tension / tension_n_per_m, by_gauge, rubber]))
 
 
-def _deviations(sensor: Sensor, tension_n_per_m: float) -> tuple[float, float, float]:
-    """Standard deviations of γ0 at a known gauge pressure, of that, and of λ; 0: not given."""
+def _deviations(sensor: Sensor, tension_n_per_m: float) -> tuple[float, float, float, float]:
+    """Of γ0 at a known gauge pressure, of that, of λ and the share of stress; 0: not given."""
     known, pneumatics = sensor.calibration, sensor.pneumatics
-    gauge = tension = stretch = 0.0
+    gauge = tension = stretch = share = 0.0
     if known is not None:
         gauge = _deviation(known.gauge_interval_pa)
         by_gauge = tension_n_per_m * gauge / pneumatics.gauge_pressure_pa
         whole = _deviation(known.tension_interval_n_per_m)
         tension = float(np.sqrt(max(whole**2 - by_gauge**2, 0.0)))
         stretch = _deviation(known.prestretch_interval)
+        share = _deviation(known.sheet_share_interval)
     if pneumatics.gauge_sigma_pa is not None:
         gauge = pneumatics.gauge_sigma_pa
-    return tension, gauge, stretch
+    return tension, gauge, stretch, share
 
 
 def _deviation(interval: tuple[float, float] | None) -> float:

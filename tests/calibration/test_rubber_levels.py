@@ -236,7 +236,11 @@ def test_gauge_pressure_by_levels_on_an_oval_rim(vented, moulded):
     )
     found = identify(rest, given, range(20))
     levels = [collect(each, given, range(20)) for each in (low, high)]
-    alone, _ = with_rubber(found, levels).material.gauge_candidates
+    fitted = with_rubber(found, levels)
+    alone, _ = fitted.material.gauge_candidates
+    share = fitted.material.sheet_share
+    assert fitted.sensor.membrane.sheet_share == pytest.approx(np.clip(share.value, 0, 1), abs=1e-3)
+    assert share.low < (0.13 if moulded else 0.73) < share.high  # by its stress
     assert alone.value == pytest.approx(G, rel=0.04)
     assert alone.low < G < alone.high
     assert alone.half_width < 0.3 * G

@@ -14,6 +14,7 @@ from bubbleviz.membrane import (
     Prestress,
     RubberForward,
     RubberMembrane,
+    balance_tension,
     build_mesh,
     build_rubber,
     disc_map,
@@ -28,7 +29,7 @@ from bubbleviz.membrane import (
     zernike,
 )
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import Calibration, load_sensor
 from tests.oracles.axial_mesh import swept_mesh
 from tests.oracles.rubber_oracle import AxialRubber
 from tests.small_press import changed
@@ -157,6 +158,44 @@ def test_membrane_of_a_sensor():
     assert rubber.mean_tension == pytest.approx(tension, rel=5e-3)
     stretch = np.sqrt(mesh.facet_areas.sum() / rubber.stress_free_area.sum())
     assert stretch == pytest.approx(1.2, abs=5e-3)
+
+
+@pytest.fixture(scope="module")
+def oval_sheet():
+    """A flat sheet that was stretched over an oval rim and inflated, and its sensor file."""
+    cap = mesh_cap(EllipsoidalCap.of((0.0557, 0.0396), 0.012), 700)
+    flat = replace(cap, nodes=cap.nodes * [1.0, 1.0, 0.0])
+    rubber = RubberMembrane(flat, 0.0, 1.05**2 * inverse_metric(flat), 140.0)
+    rest = replace(flat, nodes=Inflation(rubber, np.zeros_like(flat.nodes)).at(2500.0, cap.nodes))
+    tension = balance_tension(rest, 2500.0)
+    stretch = (1.0 - tension / 140.0) ** (-1.0 / 6.0)
+    sensor = changed(
+        load_sensor("pico_flexx_75mm"),
+        membrane={"prestretch": stretch},
+        pneumatics={"gauge_pressure_pa": 2500.0},
+    )
+    return rubber.stress(rest.nodes), rest, sensor, tension
+
+
+def test_share_of_the_sheet_gives_the_stress_that_an_oval_rim_leaves_open(oval_sheet):
+    truth, rest, sensor, tension = oval_sheet
+
+    def error(share):
+        own = changed(sensor, membrane={"sheet_share": share})
+        return np.sqrt(np.mean((build_rubber(own, rest, tension).stress(rest.nodes) - truth) ** 2))
+
+    assert error(0.7) < 0.4 * error(None)
+    assert error(0.0) == error(None)
+
+
+def test_error_of_the_share_varies_the_stress_alone(oval_sheet):
+    _, rest, sensor, tension = oval_sheet
+    calibration = Calibration(pixels_file="none.npz", sheet_share_interval=(0.304, 0.696))
+    own = changed(sensor, membrane={"sheet_share": 0.5})
+    (varied,) = varied_rubber(own.model_copy(update={"calibration": calibration}), rest, tension)
+    expected = build_rubber(changed(sensor, membrane={"sheet_share": 0.6}), rest, tension)
+    np.testing.assert_allclose(varied.stress(rest.nodes), expected.stress(rest.nodes), rtol=1e-6)
+    np.testing.assert_allclose(varied.mu_h, expected.mu_h)
 
 
 def test_unphysical_stress_is_carried_by_thicker_rubber():

@@ -12,22 +12,19 @@ from dataclasses import replace
 import numpy as np
 
 from bubbleviz.errors import SolveError
-from bubbleviz.membrane import (
-    Inflation,
-    MembraneMesh,
-    Prestress,
-    RubberMembrane,
-    inverse_metric,
-    mean_curvature,
-)
+from bubbleviz.membrane.inflation import Inflation
+from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.prestress import Prestress
+from bubbleviz.membrane.rubber import RubberMembrane, inverse_metric
+from bubbleviz.membrane.stiffness import mean_curvature
 
 _PRESTRETCH = 1.005  # λ of the sheet: the smaller, the more it differs from a film
 _HEIGHT_TOLERANCE = 0.02  # relative, of the inflated sheet
 _MAX_PRESSURES = 12  # tried for that height
 
 
-def as_flat_sheet(mesh: MembraneMesh) -> tuple[np.ndarray, float] | None:
-    """Stress on a surface under 1 Pa, as of `Prestress.on`, closest to that of an inflated sheet.
+def as_flat_sheet(mesh: MembraneMesh) -> tuple[Prestress, float] | None:
+    """Stress of a surface under 1 Pa that is closest to that of an inflated sheet.
 
     The sheet is inflated to the surface's height. With the ratio of its mean tension to that by
     force balance, less 1. None where the surface overhangs its rim, so that it was never flat.
@@ -57,5 +54,5 @@ def as_flat_sheet(mesh: MembraneMesh) -> tuple[np.ndarray, float] | None:
         pressure = following if low < following < high else 0.5 * (low + high)
     sheet, stress = replace(flat, nodes=x), rubber.stress(x) / solved_pressure
     mean = 0.5 * np.trace(stress, axis1=1, axis2=2) @ sheet.facet_areas / sheet.facet_areas.sum()
-    balanced = Prestress.of(mesh, 1.0, near=Prestress.fitted(sheet, stress)).on(mesh)
+    balanced = Prestress.of(mesh, 1.0, near=Prestress.fitted(sheet, stress))
     return balanced, float(mean) * mean_curvature(sheet) - 1.0
