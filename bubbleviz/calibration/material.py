@@ -9,7 +9,12 @@ import numpy as np
 
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rest_frames import FrameSamples, collect
-from bubbleviz.calibration.rubber_problem import LARGEST_Q, SMALLEST_Q, RubberProblem
+from bubbleviz.calibration.rubber_problem import (
+    LARGEST_Q,
+    SHARE_SIGMA,
+    SMALLEST_Q,
+    RubberProblem,
+)
 from bubbleviz.calibration.tension import MaterialEstimate, Quantity
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
@@ -124,7 +129,9 @@ def _fitted(
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, high, low))
     stretch, share = Quantity(value, low, high, source), None
     if found.surfaces.chosen != "sphere" and found.surfaces.as_flat_sheet is not None:
-        share = Quantity.normal(float(values[1, 2]), float(np.sqrt(covariance[2, 2])), source)
+        # errors of the model may count more in it, but it lies between 0 and 1
+        sigma = min(float(np.sqrt(covariance[2, 2])), SHARE_SIGMA)
+        share = Quantity.normal(float(values[1, 2]), sigma, source)
     return replace(known, prestretch=stretch, sheet_share=share, why_not="")
 
 

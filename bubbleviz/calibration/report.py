@@ -120,7 +120,9 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
         known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
         known["prestretch_from"] = stretch.source
     if (share := found.material.sheet_share) is not None:
-        known["sheet_share_interval"] = round(share.low, 3), round(share.high, 3)
+        # holds the value, which is within 0 and 1
+        ends = min(share.low, 1.0), max(share.high, 0.0)
+        known["sheet_share_interval"] = round(ends[0], 3), round(ends[1], 3)
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),

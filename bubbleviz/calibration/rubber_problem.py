@@ -62,7 +62,7 @@ _INITIAL_Q = (0.35, 0.7, 0.05)
 """λ of 1.19; then 1.06 and 1.65 where the shapes have no equilibrium, or the fit runs to constant
 tension, as it may where the gauge pressure is far too low."""
 _MIN_GAUGE = 0.1  # over the initial gauge pressure
-_SHARE, _SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
+_SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 """Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
 _MATERIAL = 3  # unknowns before the contact pressures: q, G over the initial one, share
 _STEP = 1e-3  # of q, relative, and of the share, for derivatives of the forces
@@ -321,7 +321,7 @@ class RubberProblem:
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows and right sides of the priors on G, the share, and errors of the gas pressures."""
         rows = np.zeros((2 + len(self._pressure_sigma_pa), self._size))
-        rows[0, 1], rows[1, 2] = 1.0 / gauge_sigma, 1.0 / _SHARE_SIGMA
+        rows[0, 1], rows[1, 2] = 1.0 / gauge_sigma, 1.0 / SHARE_SIGMA
         rows[2:, self._errors] = np.eye(len(rows) - 2)
         return rows, rows[:, 1] + _SHARE * rows[:, 2]
 
@@ -369,7 +369,7 @@ class RubberProblem:
         start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
-        x_scale[:_MATERIAL] = 0.1, 0.1, _SHARE_SIGMA
+        x_scale[:_MATERIAL] = 0.1, 0.1, SHARE_SIGMA
         x_scale[_MATERIAL : self._errors.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,

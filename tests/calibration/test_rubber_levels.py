@@ -240,6 +240,7 @@ def test_gauge_pressure_by_levels_on_an_oval_rim(vented, moulded):
     alone, _ = fitted.material.gauge_candidates
     share = fitted.material.sheet_share
     assert fitted.sensor.membrane.sheet_share == pytest.approx(np.clip(share.value, 0, 1), abs=1e-3)
+    assert share.half_width < 0.57  # of a uniform distribution
     assert share.low < (0.13 if moulded else 0.73) < share.high  # by its stress
     assert alone.value == pytest.approx(G, rel=0.04)
     assert alone.low < G < alone.high
