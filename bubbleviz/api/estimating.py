@@ -177,7 +177,7 @@ def estimate(
         return _watched(frames, sensor, timeout_s, out, csv, **solving)
     if csv is not None and out is None:
         raise InputError(f"{csv}: a CSV is written only with a RESULT.npz; set out as well")
-    _check_outputs(frames, out, csv, overwrite=overwrite)
+    _check_outputs(frames, (out, ".npz"), (csv, ".csv"), overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
@@ -304,7 +304,7 @@ def track(
     solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     if not isinstance(frames, Sequence | Path):
         return _watched(frames, sensor, timeout_s, out, object=obj, init=initial_pose, **solving)
-    _check_outputs(frames, out, overwrite=overwrite)
+    _check_outputs(frames, (out, ".csv"), overwrite=overwrite)
     chosen = as_frames(frames)
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
@@ -386,13 +386,16 @@ def path_of(frames: object) -> str | Path | None:
     return frames if isinstance(frames, str | Path) else getattr(frames, "path", None)
 
 
-def _check_outputs(frames: object, *paths: str | Path | None, overwrite: bool) -> None:
-    given = [Path(path) for path in paths if path is not None]
-    for path in given:
-        refuse_existing(path, overwrite=overwrite)
+def _check_outputs(
+    frames: object, *outputs: tuple[str | Path | None, str], overwrite: bool
+) -> None:
+    """Check the paths, with the suffixes of their kinds, that results are to be written to."""
+    given = [(Path(path), suffix) for path, suffix in outputs if path is not None]
+    if len({path.absolute() for path, _ in given}) < len(given):
+        raise InputError(f"{given[0][0]}: given for both --out and --csv; choose two names")
+    for path, suffix in given:
+        refuse_existing(path, suffix, overwrite=overwrite)
         refuse_input(path, path_of(frames))
-    if len({path.absolute() for path in given}) < len(given):
-        raise InputError(f"{given[0]}: given for both --out and --csv; choose two names")
 
 
 def _watched(

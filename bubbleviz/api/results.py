@@ -479,6 +479,9 @@ class Run(Sequence[FrameResult], Summary):
         if out is None:
             yield lambda _: None
             return
+        refuse_existing(out, ".npz", overwrite=overwrite)
+        if csv:
+            refuse_existing(csv, ".csv", overwrite=overwrite)
         with ExitStack() as stack:
             archive = stack.enter_context(whole_file(out, overwrite=overwrite))
             table = stack.enter_context(whole_file(csv, overwrite=overwrite)) if csv else None
@@ -501,6 +504,7 @@ class Run(Sequence[FrameResult], Summary):
         """
         if not self.poses:
             raise InputError(f"{self.context['recording']}: no object was tracked; use bv.track")
+        refuse_existing(out, ".csv", overwrite=overwrite)
         write_poses(Path(out), self.poses, "csv", overwrite=overwrite)
 
     def facts(self) -> dict[str, Any]:

@@ -73,8 +73,9 @@ class Simulation(Frames):
         SolveError
             No equilibrium at a pose.
         """
-        for path in (out, truth) if truth else (out,):
-            refuse_existing(path, overwrite=overwrite)
+        refuse_existing(out, ".mcap", overwrite=overwrite)
+        if truth is not None:
+            refuse_existing(truth, ".npz", overwrite=overwrite)
         if truth is not None and Path(truth).absolute() == Path(out).absolute():
             raise InputError(f"{out}: given for both --out and --truth; choose two names")
         truths: list[Truth] = []

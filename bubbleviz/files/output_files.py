@@ -89,13 +89,19 @@ def portable_path(path: str | Path, folder: str | Path) -> str:
         return str(path)
 
 
-def refuse_existing(path: str | Path, *, overwrite: bool = False) -> None:
+def refuse_existing(
+    path: str | Path, suffix: str | None = None, *, overwrite: bool = False
+) -> None:
     """Raise InputError unless `path` can be written; call it before long computations.
 
     With `overwrite` it may exist, but not as a folder with files of kinds that this program does
-    not write.
+    not write. The name may not end as that of another kind of file than one with `suffix`.
     """
     path = Path(path)
+    if suffix is not None and path.suffix.lower() in _WRITTEN_SUFFIXES - {suffix}:
+        raise InputError(
+            f"{path}: this output is a {suffix} file, not {path.suffix}; end its name in {suffix}"
+        )
     try:
         exists, parent_exists = os.path.lexists(path), path.parent.is_dir()
     except (OSError, ValueError) as error:

@@ -384,6 +384,23 @@ def test_an_existing_output_is_refused_before_any_work(bench, file, monkeypatch)
     bench.refused("estimate", file, "exists already")
 
 
+@pytest.mark.parametrize(
+    ("words", "end"),
+    [
+        ("estimate REC --out result.csv", ".npz"),
+        ("estimate REC --out result.npz --csv table.npz", ".csv"),
+        ("pose REC --object sphere --out poses.npz", ".csv"),
+        ("convert REC other.csv", ".mcap"),
+        ("simulate --object sphere --pose 0,0,0.1,0,0,0,1 --out press.npz", ".mcap"),
+        ("simulate --object sphere --pose 0,0,0.1,0,0,0,1 --out a.mcap --truth b.csv", ".npz"),
+    ],
+)
+def test_an_output_has_no_name_of_another_kind(bench, words, end):
+    record(bench, GOOD)
+    sensor = () if words.startswith("convert") else ("--sensor", "SENSOR")
+    bench.refused((*words.split(), *sensor), f"end its name in {end}")
+
+
 def test_the_same_name_for_both_outputs(bench):
     record(bench, GOOD)
     bench.refused((*COMMANDS["estimate"][:-1], "OUT"), "two names")
