@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QEvent, QPoint, QPointF
+from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtWidgets import QApplication
 from window_driver import (
     CONTACT,
@@ -175,6 +175,12 @@ def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive
         middles.add(tuple(cells["residual"].picture.lut[128, :3]))
         assert not np.array_equal(cells["depth"].picture.lut[:, :3], colours)
     assert len(middles) == 2
+    # the whole image stays in view when the panel becomes larger or smaller
+    cell, dock = cells["depth"], driver.window.panels["images"]
+    for height in (500, 10, 350):
+        driver.window.resizeDocks([dock], [height], Qt.Orientation.Vertical)
+        QApplication.processEvents()
+        assert cell.box.viewRect().contains(cell.picture.boundingRect())
     # zooming out is limited
     box, width = cells["depth"].box, cells["depth"].image.shape[1]
     for _ in range(40):

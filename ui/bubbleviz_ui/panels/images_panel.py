@@ -36,7 +36,7 @@ VALUES = 256
 LINE_LETTERS = 18
 """Letters in a line of the narrowest cell."""
 PAN_LIMIT = 2
-"""How far an image can be panned or zoomed out, in its widths and heights."""
+"""How far an image can be panned or zoomed out, in widths and heights of what shows all of it."""
 SCALE_STEPS = 5
 """Colour squares of the scale in the heading."""
 
@@ -74,6 +74,9 @@ class ImageCell(Cell):
         for item in (self.picture, self.halo, self.pixel, self.node):
             self.box.addItem(item)
         self.item.addItem(self.box, 0, 0)
+        self._fitted = True  # until the user zooms or pans
+        self.box.sigRangeChangedManually.connect(self._on_zoomed)
+        self.box.sigResized.connect(self._fit)
 
     def forget_range(self) -> None:
         """Reset the colour range, for another source."""
@@ -118,10 +121,23 @@ class ImageCell(Cell):
         self.image = image
         self.picture.setImage(drawn, **how)
         if new:
-            height, width = image.shape[:2]
-            x, y = PAN_LIMIT * width, PAN_LIMIT * height
-            self.box.setLimits(xMin=-x, xMax=width + x, yMin=-y, yMax=height + y)
+            self._fitted = True
+            self._fit()
+
+    def _fit(self, *_: object) -> None:
+        """Limit panning and zooming out to the shape of the view, and show the whole image."""
+        if self.image is None:
+            return
+        (height, width), view = self.image.shape[:2], self.box.size()
+        wide = max(width, height * view.width() / max(view.height(), 1.0))
+        high = max(height, width * view.height() / max(view.width(), 1.0))
+        x, y = PAN_LIMIT * wide, PAN_LIMIT * high
+        self.box.setLimits(xMin=-x, xMax=width + x, yMin=-y, yMax=height + y)
+        if self._fitted:
             self.box.setRange(self.picture.boundingRect(), padding=0.01)
+
+    def _on_zoomed(self, *_: object) -> None:
+        self._fitted = False
 
     def mark(self, place: Probed | None) -> None:
         """Mark the pixel of a probed place and the projection of its point of the membrane."""
