@@ -73,11 +73,11 @@ class Simulation(Frames):
         SolveError
             No equilibrium at a pose.
         """
+        if truth is not None and Path(truth).absolute() == Path(out).absolute():
+            raise InputError(f"{out}: given for both --out and --truth; choose two names")
         refuse_existing(out, ".mcap", overwrite=overwrite)
         if truth is not None:
             refuse_existing(truth, ".npz", overwrite=overwrite)
-        if truth is not None and Path(truth).absolute() == Path(out).absolute():
-            raise InputError(f"{out}: given for both --out and --truth; choose two names")
         truths: list[Truth] = []
         with OneBlasThread(), ExitStack() as stack:
             file = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None
