@@ -32,7 +32,7 @@ def small_sensor(name="small dome", nodes=200, prestretch=None):
 class DentSource:
     """Dome with an off-centre dent that grows frame by frame, after contact-free frames."""
 
-    def __init__(self, sensor, *, broken_from=None, slow_s=0.0):
+    def __init__(self, sensor, *, broken_from=None, slow_s=0.0, centre_m=(0.02, 0.0)):
         self.name = "dent"
         self.times_s = np.arange(FRAMES) / 30.0
         self.closed = False
@@ -41,7 +41,7 @@ class DentSource:
         self._camera = DepthCamera.of(sensor.camera)
         mesh = build_mesh(sensor)
         self._view = MembraneView(self._camera, mesh)
-        away = np.linalg.norm(mesh.nodes[:, :2] - [0.02, 0.0], axis=1)
+        away = np.linalg.norm(mesh.nodes[:, :2] - centre_m, axis=1)
         self._dent = -np.exp(-((away / 0.015) ** 2)) * ~mesh.rim
 
     def __len__(self):
@@ -107,8 +107,8 @@ class SpeckledSource(DentSource):
     Those of frames `halved` are half as wide and high; no camera info is known without `info`.
     """
 
-    def __init__(self, sensor, *, halved=frozenset(), info=True):
-        super().__init__(sensor)
+    def __init__(self, sensor, *, halved=frozenset(), info=True, **dent):
+        super().__init__(sensor, **dent)
         self._halved, self._info = halved, info
         self.times_s = np.arange(25) / 30.0
         self.decoded = 0

@@ -197,7 +197,10 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
 
 
 class PressedSpeckles(SpeckledSource):
-    """With contact in the last frame."""
+    """With contact in the last frame, at a place whose texture is seen."""
+
+    def __init__(self, sensor):
+        super().__init__(sensor, centre_m=(-0.01, 0.0))
 
     def __getitem__(self, index):
         frame = super().__getitem__(index)

@@ -227,6 +227,7 @@ class SensorClient(QObject):
         self.history = FrameHistory(opened.facts.frames)
         self._awaiting = False
         self.result, self.inspection = opened.result, _inspection(opened.result)
+        self._cold_solved = None
         self._shown_demand = self.demand.without_images()
         self._imaged_frame = opened.result.frame
         self._background_s = time.perf_counter() + IDLE_S
