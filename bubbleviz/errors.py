@@ -48,6 +48,12 @@ def check_number(option: str, value: object, lowest: float, highest: float = inf
         raise InputError(f"{option} {value}: give a finite number {limits}")
 
 
+def check_limit(option: str, seconds: float | None) -> None:
+    """Refuse what is neither None, for no limit, nor a time of 0 s or more. Raises InputError."""
+    if seconds is not None:
+        check_number(option, seconds, 0.0)
+
+
 def check_choice(option: str, value: object, choices: Iterable[object]) -> None:
     """Refuse what is not one of the choices. Raises InputError."""
     if value not in (known := tuple(choices)):

@@ -97,6 +97,23 @@ def test_arguments_of_simulations_are_checked(options, words, sensor):
         bv.simulate(sensor, "cylinder", "0 0 0.044 0 0 0 1", **options)
 
 
+@pytest.mark.parametrize("verb", ["record", "publish", "watch"])
+def test_a_negative_duration_is_refused(verb, sensor, tmp_path):
+    given = {"out": tmp_path / "rec.mcap"} if verb == "record" else {"listen": "tcp/127.0.0.1:0"}
+    with pytest.raises(bv.InputError, match="--duration -1: give a finite number of 0 or more"):
+        getattr(bv, verb)("synthetic:", sensor=sensor, duration_s=-1, **given)
+
+
+def test_a_negative_time_out_is_refused(sensor):
+    with pytest.raises(bv.InputError, match="timeout_s -1: give a finite number of 0 or more"):
+        bv.connect("synthetic:", sensor, timeout_s=-1)
+    with (
+        bv.connect("synthetic:", sensor) as stream,
+        pytest.raises(bv.InputError, match="timeout_s nan"),
+    ):
+        bv.estimate(stream, timeout_s=np.nan)
+
+
 def test_a_slice_of_a_simulation_is_saved_alone(sensor, tmp_path):
     press = Simulation(small_source(sensor, HEIGHTS))
     press[2:4].save(tmp_path / "some.mcap", tmp_path / "some.npz")
