@@ -15,7 +15,6 @@ from bubbleviz.calibration import (
     SURFACE_NAMES,
     Identification,
     KnownPress,
-    Parameter,
     Settings,
     Step,
     SurfaceName,
@@ -23,6 +22,7 @@ from bubbleviz.calibration import (
     Workbench,
     as_ranges,
     output_files,
+    sentence,
     write_sensor,
 )
 from bubbleviz.errors import InputError, check_choice, check_number
@@ -145,7 +145,7 @@ class Identified(Summary):
             return repr(self)
         verdict = self.numbers["verdict"]
         report = f" and {self.report / 'report.html'}" if self.report else ""
-        table = (Parameter(**each) for each in verdict["parameters"])
+        table = map(sentence, verdict["parameters"])
         lines = (f"- {line}" for line in (*verdict["advice"], *table))
         return "\n".join([verdict["summary"], *lines, f"wrote {self.out}{report}"])
 

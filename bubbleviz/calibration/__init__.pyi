@@ -56,9 +56,11 @@ from .validation import (
     mean_frame as mean_frame,
 )
 from .verdict import (
-    Parameter as Parameter,
-    Verdict as Verdict,
-    judge as judge,
+    advice as advice,
+    grade as grade,
+    headline as headline,
+    parameters as parameters,
+    sentence as sentence,
 )
 from .workbench import (
     Settings as Settings,

@@ -14,7 +14,7 @@ import numpy as np
 
 import bubbleviz
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.verdict import judge
+from bubbleviz.calibration.verdict import advice, grade, headline, parameters
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
     file_hash,
@@ -136,24 +136,29 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
 
 def _comment(found: Identification) -> str:
     """Sources of the numbers, as TOML comment lines."""
-    verdict, free = judge(found), found.samples.frames
+    free = found.samples.frames
     lines = [
         f"Identified from {found.samples.source_name}, contact-free frames within "
         f"{free[0]}–{free[-1]}.",
         "B: origin at the centre of the rim plane; rim plane and axes follow from the camera pose "
         "in the initial sensor file.",
-        verdict.advice[0],
-        *(f"{each.name}: {each.value} ({each.told_by})." for each in verdict.parameters),
+        advice(found)[0],
+        *("{name}: {value} ({told_by}).".format(**row) for row in parameters(found)),
     ]
     return "".join(f"# {line}\n" for line in lines) + "\n"
 
 
 def summary(found: Identification, origin: Origin) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
-    verdict, tension, surfaces = judge(found), found.material, found.surfaces
+    tension, surfaces = found.material, found.surfaces
     statistics, cap = found.samples.statistics, surfaces.cap
     return {
-        "verdict": asdict(verdict),
+        "verdict": {
+            "grade": grade(found),
+            "summary": headline(found),
+            "advice": advice(found),
+            "parameters": parameters(found),
+        },
         "origin": origin,
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}

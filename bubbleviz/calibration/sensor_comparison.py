@@ -59,6 +59,7 @@ class SensorComparison:
         intervals = {
             "γ0": new.material.tension,
             "λ": new.prestretch,
+            "sheet share": new.material.sheet_share,
             "gauge pressure": new.material.gauge,
         }
         names = list(intervals)
@@ -69,6 +70,7 @@ class SensorComparison:
             ends = (
                 known.tension_interval_n_per_m,
                 known.prestretch_interval,
+                known.sheet_share_interval,
                 known.gauge_interval_pa,
             )
             pairs = zip(names, ends, strict=True)
@@ -107,6 +109,7 @@ def _numbers(
     return {
         ("γ0", "tension"): model.tension_n_per_m,
         ("λ", "number"): sensor.membrane.prestretch,
+        ("sheet share", "number"): sensor.membrane.sheet_share,
         ("gauge pressure", "pressure"): sensor.pneumatics.gauge_pressure_pa,
         ("height", "length"): float(mesh.nodes[:, 2].max()),
         ("rim radius along x", "length"): float(half_x),

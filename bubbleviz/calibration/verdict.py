@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
@@ -16,34 +15,25 @@ PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 _GOOD, _USABLE = 0.02, 0.05  # largest relative half-width of γ0 for each grade
 _MIN_VISIBLE = 0.8  # share of the dome's area; chosen
 _MIN_FRAMES = 30  # one second of most depth cameras
+_COLUMNS = "name", "value", "told_by", "narrower"
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
     " their gas pressures (--level), or press it deeply and hold still"
 )
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter of an identification, its source, and how to determine it better."""
-
-    name: str
-    value: str  # with unit and 95 % interval, or "not determined"
-    told_by: str  # source of the value, or the reason why there is none
-    narrower: str  # what would narrow the interval
-
-    def __str__(self) -> str:
-        """As a sentence or two."""
-        return f"{self.name}: {self.value} ({self.told_by}). To improve it: {self.narrower}."
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """Grade with reasons."""
-
-    grade: Grade
-    summary: str  # one sentence
-    advice: tuple[str, ...]  # findings with remedies, most important first
-    parameters: tuple[Parameter, ...]
+_FARTHER = "record levels farther apart, or more (--level)"
+_OF_TENSION = {
+    "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
+    "noise and fixed pattern of the pixels)",
+    "frames": "let gas and camera settle before recording (largest error: drift between frames)",
+    "gas_pressure": "record longer (largest error: noise of the gas pressure)",
+    "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
+    "gauge_pressure": "{chamber} (largest error: gauge pressure)",
+    "statics": "not possible (largest error: tension that differs over the membrane, which shape "
+    "and pressure do not determine)",
+    "surface": "uncover the whole dome, rim included (largest error: shape that is hidden or too "
+    "fine for the fit)",
+}
+"""What would narrow γ0's interval, by its largest part."""
 
 
 def pascals(pressure_pa: float) -> str:
@@ -51,24 +41,30 @@ def pascals(pressure_pa: float) -> str:
     return f"{pressure_pa:.0f} Pa"
 
 
-def judge(found: Identification, pressure: PressureText = pascals) -> Verdict:
-    """Grade an identification by its numbers; `pressure` formats pressures."""
+def grade(found: Identification) -> Grade:
+    """Grade of an identification by its numbers."""
     tension = found.material.tension
     relative = tension.half_width / tension.value
-    warnings = _warnings(found, pressure)
-    grade: Grade = "good"
-    if relative > _GOOD or warnings:
-        grade = "usable"
     if relative > _USABLE or found.material.contradicts_file:
-        grade = "doubtful"
+        return "doubtful"
+    return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
+
+
+def headline(found: Identification, pressure: PressureText = pascals) -> str:
+    """The grade and γ0 in one line; `pressure` formats pressures."""
+    tension = found.material.tension
     value, low, high = tension.texts(2)
-    summary = (
-        f"{grade}: γ0 = {value} N/m, 95 % interval {low} to {high} ({_percent(relative)} either"
-        f" way), at {pressure(found.material.gauge.value)} gauge pressure"
+    return (
+        f"{grade(found)}: γ0 = {value} N/m, 95 % interval {low} to {high} "
+        f"({_percent(tension.half_width / tension.value)} either way), at "
+        f"{pressure(found.material.gauge.value)} gauge pressure"
     )
-    pressed = () if found.validation is None else (found.validation.summary,)
-    advice = (_surface(found), *warnings, *pressed)
-    return Verdict(grade, summary, advice, parameters(found, pressure))
+
+
+def advice(found: Identification, pressure: PressureText = pascals) -> list[str]:
+    """Findings with remedies, most important first."""
+    pressed = [] if found.validation is None else [found.validation.summary]
+    return [_surface(found), *_warnings(found, pressure), *pressed]
 
 
 def _surface(found: Identification) -> str:
@@ -144,44 +140,45 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     return out
 
 
-def parameters(found: Identification, pressure: PressureText = pascals) -> tuple[Parameter, ...]:
-    """γ0, gauge pressure and λ with their sources, and what would narrow their intervals."""
-    material = found.material
-    gamma, gauge, stretch = material.tension, material.gauge, material.prestretch
-    vented = found.vented is not None
+def parameters(found: Identification, pressure: PressureText = pascals) -> list[dict[str, str]]:
+    """What is determined by which data: γ0, gauge pressure, λ, and the stress of an oval rim.
+
+    Each row has a `name`, the `value` with its 95 % interval, what it is `told_by`, or why it is
+    not determined, and what makes the interval `narrower`.
+    """
+    material, vented = found.material, found.vented is not None
+    gauge, stretch, share = material.gauge, material.prestretch, material.sheet_share
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
-    low, high = map(pressure, gauge.positive)
-    gauge_text = f"{pressure(gauge.value)}, 95 % interval {low} to {high}"
     part = max(material.parts, key=lambda name: material.parts[name])
-    of_tension = {
-        "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
-        "noise and fixed pattern of the pixels)",
-        "frames": "let gas and camera settle before recording (largest error: drift between "
-        "frames)",
-        "gas_pressure": "record longer (largest error: noise of the gas pressure)",
-        "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
-        "gauge_pressure": f"{chamber_text} (largest error: gauge pressure)",
-        "statics": "not possible (largest error: tension that differs over the membrane, which "
-        "shape and pressure do not determine)",
-        "surface": "uncover the whole dome, rim included (largest error: shape that is hidden or "
-        "too fine for the fit)",
-    }[part]
-    prestretch = Parameter("λ", "not determined", material.why_not, _LEVELS)
-    if stretch is not None:
-        narrower = "record levels farther apart, or more (--level)" if vented else chamber
-        prestretch = Parameter("λ", _range(stretch, 3), stretch.source, narrower)
-    return (
-        Parameter("γ0", _range(gamma, 2, " N/m"), gamma.source, of_tension),
-        Parameter("gauge pressure", gauge_text, gauge.source, chamber_text),
-        prestretch,
-    )
+    of_tension = _OF_TENSION[part].format(chamber=chamber_text)
+    pressures = tuple(map(pressure, (gauge.value, *gauge.positive)))
+    rows = [
+        ("γ0", _range(material.tension.texts(2), " N/m"), material.tension.source, of_tension),
+        ("gauge pressure", _range(pressures), gauge.source, chamber_text),
+    ]
+    if stretch is None:
+        rows.append(("λ", "not determined", material.why_not, _LEVELS))
+    else:
+        narrower = _FARTHER if vented else chamber
+        rows.append(("λ", _range(stretch.texts(3)), stretch.source, narrower))
+    if share is not None:
+        value, low, high = (min(max(x, 0.0), 1.0) for x in (share.value, share.low, share.high))
+        narrower = _LEVELS if material.shapes_kind == "press" else _FARTHER
+        texts = Quantity(value, low, high).texts(2)
+        rows.append(("sheet share", _range(texts), share.source, narrower))
+    return [dict(zip(_COLUMNS, row, strict=True)) for row in rows]
 
 
-def _range(found: Quantity, most: int, unit: str = "") -> str:
-    value, low, high = found.texts(most)
+def sentence(row: dict[str, str]) -> str:
+    """A row of `parameters` as a sentence or two."""
+    return "{name}: {value} ({told_by}). To improve it: {narrower}.".format(**row)
+
+
+def _range(texts: tuple[str, ...], unit: str = "") -> str:
+    value, low, high = texts
     return f"{value}{unit}, 95 % interval {low} to {high}"
 
 

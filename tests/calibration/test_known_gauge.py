@@ -13,8 +13,10 @@ import pytest
 
 from bubbleviz.calibration import (
     Quantity,
+    advice,
     collect,
-    judge,
+    grade,
+    parameters,
     rest_gauge,
     with_rubber,
     write_sensor,
@@ -117,11 +119,11 @@ def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa)
     assert file.value == pytest.approx(GAUGE_PA + weather_pa, abs=3.0)
     assert levels.low < GAUGE_PA < levels.high
     assert gauge.low < GAUGE_PA < gauge.high
-    verdict = judge(found)
-    assert verdict.grade == "doubtful"
-    (row,) = (each for each in verdict.parameters if each.name == "gauge pressure")
-    assert "open chamber for ten seconds" in row.narrower and row.told_by.endswith("sensor file")
-    assert any("every force no better: record the open chamber" in line for line in verdict.advice)
+    assert grade(found) == "doubtful"
+    (row,) = (each for each in parameters(found) if each["name"] == "gauge pressure")
+    assert "open chamber for ten seconds" in row["narrower"]
+    assert row["told_by"].endswith("sensor file")
+    assert any("every force no better: record the open chamber" in line for line in advice(found))
 
 
 def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
@@ -135,9 +137,8 @@ def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
     assert found.material.contradicts_file and levels.low > file.high
     assert gauge.value == pytest.approx(2000.0, abs=40.0)
     assert gauge.high >= levels.value - 1.0
-    verdict = judge(found)
-    assert verdict.grade == "doubtful"
-    (said,) = (line for line in verdict.advice if "one of them is wrong" in line)
+    assert grade(found) == "doubtful"
+    (said,) = (line for line in advice(found) if "one of them is wrong" in line)
     assert f"{levels.value:.0f} Pa" in said and "2000 Pa" in said and "(--vented)" in said
 
 
@@ -273,7 +274,7 @@ def test_force_without_gas_pressure_is_as_uncertain_as_the_gauge_pressure(sigma_
     assumed = 0.86 * true.pneumatics.gauge_pressure_pa
     pneumatics = {"gauge_pressure_pa": assumed, "gauge_sigma_pa": sigma_pa}
     found = identify(source, changed(true, pneumatics=pneumatics), range(FRAMES), nodes=200)
-    tension, verdict = found.material.tension, judge(found)
+    tension = found.material.tension
     write_sensor(found, tmp_path / "dome.toml")
     pipeline = Pipeline.of(load_sensor(tmp_path / "dome.toml"))
     estimate = pipeline.process(source[FRAMES], frozenset({"estimate"})).estimate
@@ -284,8 +285,8 @@ def test_force_without_gas_pressure_is_as_uncertain_as_the_gauge_pressure(sigma_
     )
     assert estimate.force_n[2] == pytest.approx(0.86 * truth[2], rel=0.05)
     assert held == ((sigma_pa is None,) * 2)
-    assert (verdict.grade == "doubtful") is (sigma_pa is None)
-    (said,) = (line for line in verdict.advice if "Not every contact-free frame" in line)
+    assert (grade(found) == "doubtful") is (sigma_pa is None)
+    (said,) = (line for line in advice(found) if "Not every contact-free frame" in line)
     assert "gauge_sigma_pa" in said and "every force" in said
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import judge
+from bubbleviz.calibration import advice, grade
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 
@@ -68,9 +68,8 @@ def test_no_gauge_pressure(twin, gauge):
     refused(replace(twin, pressures=pressures), "not above the atmospheric", sensor=local)
     pressures = [ATMOSPHERE + gauge] * len(twin)  # or higher up, as the file names no place
     found = identify(replace(twin, pressures=pressures), nominal_sensor(), range(12), nodes=200)
-    verdict = judge(found)
-    assert verdict.grade == "doubtful"
-    assert any("enter the atmospheric pressure of the place" in each for each in verdict.advice)
+    assert grade(found) == "doubtful"
+    assert any("enter the atmospheric pressure of the place" in each for each in advice(found))
 
 
 @pytest.mark.parametrize("factor", [1000.0, 10.0, 0.1, 0.001])

@@ -5,7 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, Validation, judge
+from bubbleviz.calibration import (
+    Quantity,
+    Validation,
+    advice,
+    grade,
+    headline,
+    parameters,
+    sentence,
+)
 from bubbleviz.simulation import DepthNoise
 
 from .domes import Dome, sphere
@@ -14,30 +22,28 @@ from .identified import identify
 NOISE = DepthNoise(relative=0.003)
 
 
-def verdict_on(dome):
-    found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
-    return found.material, judge(found)
+def identified(dome):
+    return identify(dome, dome.sensor, range(len(dome)), nodes=200)
 
 
 def test_disagreement_of_balance_and_least_squares_prevents_grade_good():
     """On a tall spheroid no constant tension is in balance with the gas pressure everywhere."""
-    tension, verdict = verdict_on(Dome((0.07, 0.07, 0.09), 0.05, NOISE, 0, frames=20, scale=0.35))
-    (reason,) = (sentence for sentence in verdict.advice if "apart" in sentence)
-    assert f"{tension.tension.value:.1f} N/m" in reason
-    assert f"{tension.least_squares_n_per_m:.1f} N/m" in reason
-    assert verdict.grade != "good"
+    found = identified(Dome((0.07, 0.07, 0.09), 0.05, NOISE, 0, frames=20, scale=0.35))
+    (reason,) = (line for line in advice(found) if "apart" in line)
+    assert f"{found.material.tension.value:.1f} N/m" in reason
+    assert f"{found.material.least_squares_n_per_m:.1f} N/m" in reason
+    assert grade(found) != "good"
 
 
 def test_balance_and_least_squares_agree_on_a_sphere():
-    _, verdict = verdict_on(sphere(0, NOISE, frames=20, scale=0.35))
-    assert not any("apart" in sentence for sentence in verdict.advice)
+    found = identified(sphere(0, NOISE, frames=20, scale=0.35))
+    assert not any("apart" in line for line in advice(found))
 
 
 @pytest.fixture(scope="module")
 def ball():
     """Ideal apart from the small number of frames, 20."""
-    dome = sphere(0, NOISE, frames=20, scale=0.35)
-    found = identify(dome, dome.sensor, range(len(dome)), nodes=200)
+    found = identified(sphere(0, NOISE, frames=20, scale=0.35))
     gas = np.full(20, 1e5 + found.material.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
     return gauged(with_seen_share(replace(found, samples=samples), 1.0), 1.0)
@@ -75,7 +81,7 @@ def with_seen_share(found, share):
 
 
 @pytest.mark.parametrize(
-    ("relative", "frames", "grade"),
+    ("relative", "frames", "expected"),
     [
         (0.019, 30, "good"),
         (0.021, 30, "usable"),
@@ -84,12 +90,13 @@ def with_seen_share(found, share):
         (0.019, 29, "usable"),
     ],
 )
-def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relative, frames, grade):
-    verdict = judge(with_tension(in_frames(ball, frames), relative))
-    assert verdict.grade == grade
-    assert verdict.summary.startswith(f"{grade}: γ0 = {ball.material.tension.value:.1f} N/m")
-    assert f"({100 * relative:.2g} % either way)" in verdict.summary
-    few = any(f"Only {frames} contact-free frames" in line for line in verdict.advice)
+def test_grade_follows_the_interval_unless_there_is_a_warning(ball, relative, frames, expected):
+    found = with_tension(in_frames(ball, frames), relative)
+    assert grade(found) == expected
+    line = headline(found)
+    assert line.startswith(f"{expected}: γ0 = {ball.material.tension.value:.1f} N/m")
+    assert f"({100 * relative:.2g} % either way)" in line
+    few = any(f"Only {frames} contact-free frames" in line for line in advice(found))
     assert few is (frames < 30)
 
 
@@ -109,21 +116,31 @@ def test_the_grade_is_that_of_the_interval_unless_there_is_a_warning(ball, relat
     ],
 )
 def test_warning_appears_beyond_its_limit(ball, change, said):
-    verdict = judge(in_frames(change(ball), 30))
-    assert verdict.grade == ("usable" if said else "good")
+    found = in_frames(change(ball), 30)
+    assert grade(found) == ("usable" if said else "good")
     if said:
-        assert said in verdict.advice[1]
+        assert said in advice(found)[1]
 
 
 def test_parameters_list_their_origin_and_how_to_improve_them(ball):
-    tension, gauge, stretch = judge(ball).parameters
-    assert "95 % interval" in gauge.value and "(--vented)" in gauge.narrower
-    assert stretch.value == "not determined" and "(--level)" in stretch.narrower
+    tension, gauge, stretch = parameters(ball)
+    assert "95 % interval" in gauge["value"] and "(--vented)" in gauge["narrower"]
+    assert stretch["value"] == "not determined" and "(--level)" in stretch["narrower"]
+    assert "neither levels nor" in sentence(stretch)
     parts = ball.material.parts
     for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():
         found = with_tension(ball, 0.01, shape_parts=parts | {name: 10.0 * max(parts.values())})
-        tension = judge(found).parameters[0]
-        assert said in tension.narrower and f"{ball.tension_n_per_m:.0f}" in tension.value
+        tension = parameters(found)[0]
+        assert said in tension["narrower"] and f"{ball.tension_n_per_m:.0f}" in tension["value"]
+
+
+@pytest.mark.parametrize(("kind", "narrower"), [("press", "two other inf"), ("levels", "farther")])
+def test_stress_that_an_oval_rim_leaves_open_has_a_row_where_it_is_known(ball, kind, narrower):
+    """Its interval is shown between those of a film, 0, and of a flat sheet, 1."""
+    share = Quantity.normal(0.46, 0.3, f"the {kind}")
+    row = parameters(with_tension(ball, 0.01, sheet_share=share, shapes_kind=kind))[-1]
+    assert (row["name"], row["value"]) == ("sheet share", "0.46, 95 % interval 0.00 to 1.00")
+    assert row["told_by"] == f"the {kind}" and narrower in row["narrower"]
 
 
 @pytest.mark.parametrize(("relative", "apart"), [(0.01, 0.021), (0.03, 0.025)])
@@ -131,7 +148,7 @@ def test_least_squares_disagree_beyond_the_interval_and_two_percent(ball, relati
     value = ball.material.tension.value
     for sign in (-1.0, 1.0):
         far = with_tension(ball, relative, least_squares_n_per_m=(1.0 + sign * apart) * value)
-        warned = any(f"{100 * apart:.2g} % apart" in line for line in judge(far).advice)
+        warned = any(f"{100 * apart:.2g} % apart" in line for line in advice(far))
         assert warned is (apart > relative)
 
 

@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Step
+from bubbleviz.calibration import Step, grade, headline
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_page import Page
@@ -273,12 +273,12 @@ class CalibrationPanel(QWidget):
         for number in range(len(self.pages)):
             self.steps.button(number).setEnabled(number == place or number < known)
         self.steps.show_states([self._state(number) for number in range(len(self.pages))])
-        verdict = answer.verdict(self.units)
-        self.verdict.setVisible(verdict is not None)
-        if verdict is not None:
-            outdated = calibration.outdated
-            colour = getattr(theme.of(self), "doubtful" if outdated else verdict.grade)
-            self.verdict.setText(f"{OUTDATED} {verdict.summary}" if outdated else verdict.summary)
+        found, outdated = answer.found, calibration.outdated
+        self.verdict.setVisible(found.complete)
+        if found.complete:
+            colour = getattr(theme.of(self), "doubtful" if outdated else grade(found))
+            line = headline(found, self.units.gas_pressure.text)
+            self.verdict.setText(f"{OUTDATED} {line}" if outdated else line)
             self.verdict.setStyleSheet(f"color: {colour}")
         self.strip.set_ranges(answer.axis, answer.found.ranges)
         self._show_strip()
@@ -295,8 +295,7 @@ class CalibrationPanel(QWidget):
         answer, page = self.calibration.answer, self.pages[number]
         changed = self._first_outdated_step()
         refused = self._failed and number == changed
-        verdict = answer.verdict(self.units)
-        doubtful = verdict is not None and verdict.grade == "doubtful"
+        doubtful = answer.found.complete and grade(answer.found) == "doubtful"
         press = answer.found.validation
         failed = press is not None and bool(press.failures)
         if refused or (doubtful and page is self.tension) or (failed and page is self.validation):

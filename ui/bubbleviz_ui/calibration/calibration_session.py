@@ -23,10 +23,9 @@ from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import CALIBRATION
 from bubbleviz_ui.model.undo import UndoRecorder, UndoStep
-from bubbleviz_ui.model.units import Units
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import SensorComparison, Verdict, Workbench
+    from bubbleviz.calibration import SensorComparison, Workbench
 
 
 # Results of the calibration thread: an identification and its images.
@@ -61,14 +60,6 @@ class Answer:
     @property
     def frames(self) -> int:
         return len(self.axis)
-
-    def verdict(self, units: Units) -> Verdict | None:
-        """Quality of the identification, in the displayed units; None before there is one."""
-        if not self.found.complete:
-            return None
-        from bubbleviz.calibration import judge  # not at start
-
-        return judge(self.found, units.gas_pressure.text)
 
 
 def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> Answer:

@@ -16,7 +16,7 @@ from PySide6.QtWidgets import (
     QSpinBox,
 )
 
-from bubbleviz.calibration import Step
+from bubbleviz.calibration import Step, advice, parameters, sentence
 from bubbleviz.files import presets_folder
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
@@ -64,11 +64,14 @@ class ReportPage(Page):
         return self.calibration.saved == answer.work
 
     def show_answer(self, answer: Answer) -> None:
-        verdict, comparison = answer.verdict(self.units), answer.comparison
+        found, comparison = answer.found, answer.comparison
         ready = not self.calibration.busy and not self.calibration.outdated
         for button in (self.use_sensor, self.save_as):
             button.setEnabled(comparison is not None and ready)
-        lines = () if verdict is None else (*verdict.advice, *verdict.parameters)
+        lines: list[str] = []
+        if found.complete:
+            pressure = self.units.gas_pressure.text
+            lines = [*advice(found, pressure), *map(sentence, parameters(found, pressure))]
         self.advice.setText("\n".join(f"• {line}" for line in lines))
         old = answer.compared_with
         self.compared.setText(f"In use: {old.name}" if old is not None else "")

@@ -57,6 +57,9 @@ VALUES = (
           "tension_interval_n_per_m"),
     Value("membrane.prestretch", "Pre-stretch λ", "Stretch of the rubber at rest; without a "
           "value, the tension is constant", "", "", "prestretch_interval", "prestretch_from"),
+    Value("membrane.sheet_share", "Sheet share", "Stress of an oval rim at rest, between that of "
+          "a film, 0, and that of a flat sheet, 1", "", "", "sheet_share_interval",
+          "prestretch_from"),
     Value("pneumatics.atmospheric_pressure_pa", "Atmosphere", "Absolute air pressure outside",
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Gas volume behind the rim plane",
