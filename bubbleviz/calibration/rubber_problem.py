@@ -289,16 +289,17 @@ class RubberProblem:
         errors, (2, 3, 3), and the robust rms of the residuals of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
-        alone, temper = self._alone()
-        covariance = self._covariance(alone, np.inf, temper)[0]
+        alone, others_m, temper = self._alone()
+        covariance, _ = self._covariance(alone, others_m, np.inf, temper)
         vector = self._minimise(alone, self._scale(alone), gauge_sigma, temper)
         both = np.stack([alone[:_MATERIAL], vector[:_MATERIAL]])
-        covariances = np.stack([covariance, self._covariance(vector, gauge_sigma, temper)[0]])
-        return both, covariances, robust_sigma(self._residuals(vector), center=0.0)
+        with_prior, _ = self._covariance(vector, others_m, gauge_sigma, temper)
+        unexplained = robust_sigma(self._residuals(vector), center=0.0)
+        return both, np.stack([covariance, with_prior]), unexplained
 
-    def _alone(self) -> tuple[np.ndarray, float]:
-        """Fit without a prior on G, and the tempering."""
-        found: tuple[np.ndarray, float] | None = None
+    def _alone(self) -> tuple[np.ndarray, list[np.ndarray], float]:
+        """Fit without a prior on G, what other models say near it, and the tempering."""
+        found: tuple[np.ndarray, list[np.ndarray], float] | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
             start[:_MATERIAL] = q, 1.0, _SHARE
@@ -306,8 +307,10 @@ class RubberProblem:
             if self._shapes_at(start) is None:
                 continue
             vector = self._minimise(start, None, np.inf, 1.0)
-            temper = self._covariance(vector, np.inf, 1.0)[1]
-            found = self._minimise(vector, self._scale(vector), np.inf, temper), temper
+            others_m = self._other_models(vector)
+            temper = self._covariance(vector, others_m, np.inf, 1.0)[1]
+            vector = self._minimise(vector, self._scale(vector), np.inf, temper)
+            found = vector, others_m, temper
             if found[0][0] > 1.01 * SMALLEST_Q:
                 break
         if found is not None:
@@ -380,7 +383,11 @@ class RubberProblem:
     # -- errors ---------------------------------------------------------------------------------
 
     def _covariance(
-        self, vector: np.ndarray, gauge_sigma: float, temper: float
+        self,
+        vector: np.ndarray,
+        others_m: list[np.ndarray],  # as of `_other_models`, of a vector near it
+        gauge_sigma: float,
+        temper: float,
     ) -> tuple[np.ndarray, float]:
         """Of q, G and share, with the variance of G by the shapes over that by white noise."""
         (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector).ravel()
@@ -409,12 +416,8 @@ class RubberProblem:
             -self._stress_sigma * (influence.T @ by_stress),
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
             np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0, 0.0]),
+            *(influence.T @ other for other in others_m),
         ]
-        for rubber, at_rest_m in self._other_rubbers:
-            other = self._predicted(vector, rubber(*vector[[0, 2]].tolist()))
-            if other is not None:
-                change = self._changes(other, at_rest_m).ravel() - change_m
-                errors.append(-influence.T @ np.nan_to_num(change + residuals))
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
         for part in self._divisions:
@@ -435,17 +438,25 @@ class RubberProblem:
         divide = partial(_view_parts, self._observer, pressed=self._pressed)
         return [np.concatenate(each) for each in zip(*map(divide, self._change_m), strict=True)]
 
-    @cached_property
-    def _other_rubbers(self) -> list[tuple[Rubber, float | np.ndarray]]:
-        """Rubber to estimate model errors, and ranges of its surface."""
+    def _other_models(self, vector: np.ndarray) -> list[np.ndarray]:
+        """Errors of the modelled changes, (S·B,), m, by a stress and a surface less well known."""
         # Stress at rest follows from curvature. On simulated round sheets and domes a fitted cap
         # moves G by −2 %, and the free form by +2 and −4 % (by 0 without noise).
         mesh, other = self._mesh, self._surfaces.other_mesh
         at_rest_m = self._observer.around(other.nodes).model_m
         rubber = partial(_rest_rubber, slack_m=self._slack_m, open_stress=self._open_stress)
+        modelled_m = self._change_m - self._residuals(vector)
+        found = (
+            (self._predicted(vector, of_film(*vector[[0, 2]].tolist())), at_rest_m)
+            for of_film, at_rest_m in (
+                (rubber(mesh, film=_film_stress(mesh, STRESS_DEGREE - 2)), 0.0),
+                (rubber(other, film=_film_stress(other)), at_rest_m),
+            )
+        )
         return [
-            (rubber(mesh, film=_film_stress(mesh, STRESS_DEGREE - 2)), 0.0),
-            (rubber(other, film=_film_stress(other)), at_rest_m),
+            np.nan_to_num(modelled_m - self._changes(shapes, at_rest_m)).ravel()
+            for shapes, at_rest_m in found
+            if shapes is not None
         ]
 
     @cached_property
