@@ -14,7 +14,6 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.calibration import (
     SURFACE_NAMES,
     Identification,
-    KnownPress,
     Settings,
     Step,
     SurfaceName,
@@ -253,7 +252,7 @@ def identify(
         levels=tuple(_source(each) for each in levels),
         vented=None if vented is None else _source(vented),
         level_sigma_pa=level_sigma,
-        press=_known_press(source, object, pose, pressed),
+        **_known_press(source, object, pose, pressed),
         held_press=held_press,
         search=False,
     )
@@ -271,10 +270,10 @@ def _source(frames: FrameSource | str | Path) -> FrameSource | Path:
 
 def _known_press(
     source: FrameSource, obj: str | None, pose: str | None, pressed: str | None
-) -> KnownPress | None:
-    """Press for the validation. Raises InputError: incomplete or unreadable."""
+) -> dict[str, Any]:
+    """Settings of the press for the validation. Raises InputError: incomplete or unreadable."""
     if obj is None and pose is None and pressed is None:
-        return None
+        return {}
     if obj is None or pose is None or pressed is None:
         raise InputError(
             "validation by a known press needs --object, --pose and --pressed; give all three, or "
@@ -282,4 +281,4 @@ def _known_press(
         )
     load_object(obj), parse_pose(pose)
     frames = parse_frames(pressed, len(source), source.name, "--pressed")
-    return KnownPress(obj, pose, frames.start, frames.stop)
+    return {"obj": obj, "pose": pose, "pressed": (frames.start, frames.stop)}

@@ -12,8 +12,8 @@ import numpy as np
 from bubbleviz.api.estimating import SensorName, estimate, path_of
 from bubbleviz.api.frames import open
 from bubbleviz.api.saved_summary import SavedSummary, axis_columns, check_out
-from bubbleviz.calibration import Interval, WrenchComparison, compare_with_wrench
 from bubbleviz.errors import InputError
+from bubbleviz.output import Interval, WrenchComparison, compare_with_wrench
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame
 from bubbleviz.wording import count_of, decimals_of, rounded

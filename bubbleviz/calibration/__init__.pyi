@@ -51,7 +51,6 @@ from .tension import (
     Quantity as Quantity,
 )
 from .validation import (
-    KnownPress as KnownPress,
     Validation as Validation,
     mean_frame as mean_frame,
 )
@@ -66,9 +65,4 @@ from .workbench import (
     Settings as Settings,
     Step as Step,
     Workbench as Workbench,
-)
-from .wrench_comparison import (
-    Interval as Interval,
-    WrenchComparison as WrenchComparison,
-    compare_with_wrench as compare_with_wrench,
 )

@@ -142,30 +142,25 @@ class Validation:
         )
 
 
-@dataclass(frozen=True)
-class KnownPress:
-    """An object held still against the membrane, as a user enters it."""
+def validate_press(
+    model: SensorModel,
+    source: FrameSource,
+    # obj, pose, pressed: as the user enters them, see `Settings`
+    obj: str,
+    pose: str,
+    pressed: tuple[int, int],
+) -> Validation:
+    """Predict the press of an object held still and compare it with its frames in a recording.
 
-    obj: str  # mesh file, or name of an object preset
-    pose: str  # T_B_O as "x y z qx qy qz qw", m and unit quaternion
-    # first, stop: first frame of the press and the one after its last
-    first: int
-    stop: int
-
-    def validate(self, model: SensorModel, source: FrameSource) -> Validation:
-        """Predict this press and compare it with its frames in a recording.
-
-        Raises InputError, SolveError: as `Validation.of`; no such object or frames, invalid pose.
-        """
-        obj, T_B_O = load_object(self.obj), parse_pose(self.pose)
-        if not 0 <= self.first < self.stop <= len(source):
-            raise InputError(
-                f"{source.name}: pressed frames {self.first}:{self.stop} are not a range of its"
-                f" {count_of(len(source), 'frame')}; choose first before last within "
-                f"0:{len(source)}"
-            )
-        frames = [source[k] for k in range(self.first, self.stop)]
-        return Validation.of(model, frames, obj, T_B_O)
+    Raises InputError, SolveError: as `Validation.of`; no such object or frames, invalid pose.
+    """
+    if not 0 <= pressed[0] < pressed[1] <= len(source):
+        raise InputError(
+            f"{source.name}: pressed frames {pressed[0]}:{pressed[1]} are not a range of its"
+            f" {count_of(len(source), 'frame')}; choose first before last within 0:{len(source)}"
+        )
+    frames = [source[k] for k in range(*pressed)]
+    return Validation.of(model, frames, load_object(obj), parse_pose(pose))
 
 
 def mean_frame(frames: Sequence[Frame]) -> Frame:

@@ -39,7 +39,6 @@ from bubbleviz.sensor import Sensor
 if TYPE_CHECKING:
     from bubbleviz.calibration.rest_frames import Ranges
     from bubbleviz.calibration.surface import SurfaceName
-    from bubbleviz.calibration.validation import KnownPress
 
 
 class Step(IntEnum):
@@ -66,7 +65,11 @@ class Settings:
     levels: tuple[FrameSource | Path, ...] = ()  # the untouched sensor at other inflation levels
     vented: FrameSource | Path | None = None  # the open chamber, for the atmospheric pressure
     level_sigma_pa: float | None = None  # of gas pressure differences between recordings, Pa
-    press: KnownPress | None = None  # for the validation, in the same source
+    # known press in the same source, for the validation: mesh file or preset of the object, its
+    # pose T_B_O as "x y z qx qy qz qw" (m, unit quaternion), first frame and the one after the last
+    obj: str = ""
+    pose: str = ""
+    pressed: tuple[int, int] | None = None
     held_press: bool = True  # use a press in the source for λ and gauge pressure without levels
     search: bool = True  # search contact-free frames even if `ranges` is given
 
@@ -187,16 +190,20 @@ class Workbench:
         progress("fitting the rubber", 0.5)
         fitted = self._cached(
             "rubber",
-            replace(settings, press=None),
+            replace(settings, obj="", pose="", pressed=None),
             lambda: with_rubber(
                 plain, [each.samples for each in every], press.result(), settings.level_sigma_pa
             ),
         )
-        if (known := settings.press) is None:
+        if (pressed := settings.pressed) is None:
             return fitted
         progress("predicting the known press", 0.9)
+        # not at the window's start
+        from bubbleviz.calibration.validation import validate_press
+
+        known = settings.obj, settings.pose, pressed
         validation = self._cached(
-            "validation", settings, lambda: known.validate(fitted.model, self.source)
+            "validation", settings, lambda: validate_press(fitted.model, self.source, *known)
         )
         return replace(fitted, validation=validation)
 

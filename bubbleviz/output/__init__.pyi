@@ -32,3 +32,8 @@ from .table_export import (
     draw_plots as draw_plots,
 )
 from .video import open_mp4 as open_mp4
+from .wrench_comparison import (
+    Interval as Interval,
+    WrenchComparison as WrenchComparison,
+    compare_with_wrench as compare_with_wrench,
+)

@@ -287,7 +287,7 @@ class CollectBox(QGroupBox):
         contact_free = self.contact_free.isChecked()
         ranges = ((0, len(frames)),) if contact_free else None
         settings = replace(
-            self._calibration.settings, last_step=Step.TENSION, ranges=ranges, press=None
+            self._calibration.settings, last_step=Step.TENSION, ranges=ranges, pressed=None
         )
         self._calibration.use_collected(frames, settings)
 

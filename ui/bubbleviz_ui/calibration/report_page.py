@@ -129,7 +129,7 @@ class ValidationPage(Page):
     name = "Press"
     title = "Validation"
     task = "If you know which object was pressed and its pose, enter both and compare."
-    sets = ("press",)
+    sets = ("obj", "pose", "pressed")
     next_title = "Validate by a known press"
     # points (k, 3) and signed distances (k,), both in m, for the 3-D view
     painted = Signal(object, object)
@@ -150,7 +150,7 @@ class ValidationPage(Page):
         self.remove = push_button(
             "Remove",
             "Remove the validation by this press",
-            lambda: calibration.edit("Remove the validation", press=None),
+            lambda: calibration.edit("Remove the validation", pressed=None),
         )
         self.paint = push_button(
             "Paint the distances in the 3-D view",
@@ -169,18 +169,18 @@ class ValidationPage(Page):
         return answer.found.validation is not None
 
     def show_answer(self, answer: Answer) -> None:
-        units, press = self.units, self.calibration.settings.press
+        units, settings = self.units, self.calibration.settings
         for box in (self.first, self.last):
             box.setMaximum(max(answer.frames - 1, 0))
-        if press is not None:
+        if settings.pressed is not None:
             with QSignalBlocker(self.obj):
-                self.obj.setCurrentText(press.obj)
-            self.pose.setText(press.pose)
-            self.first.setValue(press.first)
-            self.last.setValue(press.stop - 1)
+                self.obj.setCurrentText(settings.obj)
+            self.pose.setText(settings.pose)
+            self.first.setValue(settings.pressed[0])
+            self.last.setValue(settings.pressed[1] - 1)
         ready = answer.found.complete and not self.calibration.busy
         self.predict.setEnabled(ready)
-        self.remove.setEnabled(press is not None)
+        self.remove.setEnabled(settings.pressed is not None)
         found = answer.found.validation
         self.paint.setEnabled(found is not None)
         self.numbers.setVisible(found is not None)
@@ -206,15 +206,13 @@ class ValidationPage(Page):
         show("force estimated", force.text(float(np.linalg.norm(found.measured_force_n))))
 
     def _on_predict(self) -> None:
-        from bubbleviz.calibration import KnownPress  # not at start
-
-        press = KnownPress(
-            self.obj.currentText().strip(),
-            self.pose.text().strip(),
-            self.first.value(),
-            self.last.value() + 1,
+        self.calibration.edit(
+            "Validate by a known press",
+            obj=self.obj.currentText().strip(),
+            pose=self.pose.text().strip(),
+            pressed=(self.first.value(), self.last.value() + 1),
+            last_step=Step.TENSION,
         )
-        self.calibration.edit("Validate by a known press", press=press, last_step=Step.TENSION)
 
     def _paint(self) -> None:
         found = self.calibration.answer.found.validation

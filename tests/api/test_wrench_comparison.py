@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
-from bubbleviz.calibration import compare_with_wrench
 from bubbleviz.errors import InputError
+from bubbleviz.output import compare_with_wrench
 from bubbleviz.recordings import RecordingWriter
 from tests.program import output_of, refusal, rows_of
 
