@@ -18,7 +18,7 @@ _MIN_FRAMES = 30  # one second of most depth cameras
 _COLUMNS = "name", "value", "told_by", "narrower"
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
-    " their gas pressures (--level), or press it deeply and hold still"
+    " their gas pressures (--level)"
 )
 _FARTHER = "record levels farther apart, or more (--level)"
 _OF_TENSION = {
@@ -160,7 +160,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
         ("gauge pressure", _range(pressures), gauge.source, chamber_text),
     ]
     if stretch is None:
-        rows.append(("λ", "not determined", material.why_not, _LEVELS))
+        narrower = f"{_LEVELS}, or press it deeply and hold still"
+        rows.append(("λ", "not determined", material.why_not, narrower))
     else:
         narrower = _FARTHER if vented else chamber
         rows.append(("λ", _range(stretch.texts(3)), stretch.source, narrower))

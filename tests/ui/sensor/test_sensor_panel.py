@@ -31,9 +31,12 @@ def left(tmp_path):
         tension_interval_n_per_m=(103.0, 107.5),
         gauge_interval_pa=(2500.0, 2700.0),
         gauge_from="a manometer",
+        sheet_share_interval=(0.1, 0.7),
     )
     air = sensor.pneumatics.model_copy(update={"tension_n_per_m": 105.25})
-    known = sensor.model_copy(update={"calibration": calibration, "pneumatics": air})
+    rim = sensor.membrane.model_copy(update={"sheet_share": 0.4})
+    update = {"calibration": calibration, "pneumatics": air, "membrane": rim}
+    known = sensor.model_copy(update=update)
     path = tmp_path / "left.toml"
     path.write_text("# by hand\n" + sensor_to_toml(known))
     return path
@@ -77,6 +80,8 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     assert tension.shown.text() == "105.25 N/m" and tension.interval.text() == "103.0 … 107.5 N/m"
     assert gauge.interval.text() == "2500 … 2700 Pa"
     assert panel.rows["membrane.prestretch"].shown.text() == "not in the file"
+    share = panel.rows["membrane.sheet_share"]
+    assert (share.shown.text(), share.interval.text()) == ("0.4000", "0.10 … 0.70")
     assert gauge.interval.toolTip() == "from a manometer"
     assert panel.identified.text() == "2026-11-20 09:30 UTC"
     assert panel.recording.text() == "rest.mcap"
