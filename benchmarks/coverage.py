@@ -146,13 +146,12 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     alone = bv.identify(
         rest, sensor, contact_free=range(grid.frames), nodes=grid.nodes, held_press=False
     ).found
-    material = alone.material.under(rest_gauge(alone.samples, sensor, vented))
-    opened = replace(alone, material=material, vented=vented)
+    opened = replace(alone, gauge=rest_gauge(alone.samples, sensor, vented), vented=vented)
     for known, given in (("levels", alone), ("vented", opened)):
         found = with_rubber(given, levels)
         numbers: list[Quantity | None] = [None] * len(QUANTITIES)
-        if found.vented or found.material.gauge_candidates:
-            numbers = [found.material.tension, found.material.prestretch, found.material.gauge]
+        if found.vented or found.gauge_candidates:
+            numbers = [found.tension, found.prestretch, found.gauge]
         for quantity, truth, number in zip(QUANTITIES, truths, numbers, strict=True):
             interval = (number.value, number.low, number.high) if number else ()
             rows.append(CoverageRow(name, seed, known, quantity, truth, *interval))

@@ -68,7 +68,7 @@ class Identified(Summary):
     @property
     def tension_interval_n_per_m(self) -> tuple[float, float]:
         """95 % interval of γ0, N/m."""
-        tension = self.found.material.tension
+        tension = self.found.tension
         return tension.low, tension.high
 
     @property

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from bubbleviz.calibration.rest_frames import FrameSamples, Ranges
-from bubbleviz.calibration.surface import Surfaces
-from bubbleviz.calibration.tension import MaterialEstimate, Quantity
+from bubbleviz.calibration.surface import NOT_YET, SurfaceName, Surfaces
+from bubbleviz.calibration.tension import Quantity
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -36,9 +36,6 @@ _UNCERTAIN_FILE = f"{_FILE}, which gives no gauge_sigma_pa"
 _VENT = "give the recording of the open chamber"
 
 
-_NOT_YET: Any = None  # value of a result whose step was not done
-
-
 @dataclass(frozen=True)
 class Identification:
     """A sensor identified from its contact-free frames, or what the steps so far have found.
@@ -46,22 +43,34 @@ class Identification:
     Results of later steps are None; those of `Step.TENSION` make it `complete`.
     """
 
-    given: Sensor = _NOT_YET  # the sensor file before identification
+    given: Sensor = NOT_YET  # the sensor file before identification
     ranges: Ranges = ()  # contact-free frames in use
     contact_free: ContactFree | None = None  # result of the search, even if it is not used
-    samples: FrameSamples = _NOT_YET
+    samples: FrameSamples = NOT_YET
     # chosen by validity and noise; from the surface on by bias, too
-    pixels: PixelModel = _NOT_YET
-    surfaces: Surfaces = _NOT_YET
-    material: MaterialEstimate = _NOT_YET
-    # absolute gas pressure of the open chamber, Pa, from which `material` has its gauge pressure
+    pixels: PixelModel = NOT_YET
+    surfaces: Surfaces = NOT_YET
+    # absolute gas pressure of the open chamber, Pa, from which `gauge` was found
     vented: Quantity | None = None
+    gauge: Quantity = NOT_YET  # gauge pressure, Pa
+    prestretch: Quantity | None = None  # λ; None: not determined
+    # share of an initially flat sheet in the stress that a rim leaves open; None: not determined
+    sheet_share: Quantity | None = None
+    why_not: str = "neither levels nor a held press were used"  # to determine λ
+    shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
+    # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
+    # weighted mean of both
+    gauge_candidates: tuple[Quantity, Quantity] | None = None
+    rises_pa: tuple[float, ...] = ()  # gas pressure of every shape over that at rest, Pa
+    # robust rms of the changes of range from rest, and of the residuals of the rubber model, m
+    change_rms_m: float = np.nan
+    unexplained_rms_m: float = np.nan
     validation: Validation | None = None  # by a known press
 
     @property
     def complete(self) -> bool:
         """Whether all steps were done."""
-        return self.material is not None
+        return self.gauge is not None
 
     @property
     def mesh(self) -> MembraneMesh:
@@ -69,12 +78,45 @@ class Identification:
 
     @property
     def tension_n_per_m(self) -> float:
-        return self.material.tension.value
+        return self.tension.value
 
     @property
-    def prestretch(self) -> Quantity | None:
-        """λ; None where it is not determined."""
-        return self.material.prestretch
+    def tension(self) -> Quantity:
+        """γ0, N/m, of the chosen surface."""
+        shape, other = self.of_shape, self.surfaces.tension_m.value * self.gauge.half_width
+        low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
+        ends = shape.value - low, shape.value + high
+        return Quantity(shape.value, *ends, "shape and gauge pressure")
+
+    @property
+    def of_shape(self) -> Quantity:
+        """γ0, N/m, with the error of the shape alone, as at an exact gauge pressure."""
+        return self.surfaces.tension_m.times(self.gauge.value)
+
+    @property
+    def parts(self) -> dict[str, float]:
+        """Standard deviation of γ0 by every source: those of the shape, `gauge_pressure`, N/m."""
+        shape = {n: self.gauge.value * part for n, part in self.surfaces.tension_parts_m.items()}
+        return shape | {"gauge_pressure": self.surfaces.tension_m.value * self.gauge.sigma}
+
+    @property
+    def by_surface(self) -> dict[SurfaceName, float]:
+        """γ0 of every surface, N/m."""
+        every = self.surfaces.tension_by_surface_m.items()
+        return {name: self.gauge.value * tension for name, tension in every}
+
+    @property
+    def least_squares_n_per_m(self) -> float:
+        """γ0 by least squares over the nodes, N/m."""
+        return self.gauge.value * self.surfaces.least_squares_m
+
+    @property
+    def contradicts_file(self) -> bool:
+        """Whether gauge pressures from shapes and file differ by more than their intervals."""
+        if self.gauge_candidates is None:
+            return False
+        shapes, file = self.gauge_candidates
+        return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
 
     @cached_property
     def sensor(self) -> Sensor:
@@ -87,7 +129,7 @@ class Identification:
         pneumatics = self.given.pneumatics.model_copy(update=self._pressures())
         rubber = self.given.membrane.model_dump(include={"prestretch", "sheet_share"})
         if self.prestretch is not None:
-            share = self.material.sheet_share
+            share = self.sheet_share
             rubber["prestretch"] = round(self.prestretch.value, 4)
             rubber["sheet_share"] = share and round(min(max(share.value, 0.0), 1.0), 3)
         update = {
@@ -110,7 +152,7 @@ class Identification:
 
     def _pressures(self) -> dict[str, float]:
         """Pressures and γ0 for the sensor file."""
-        gauge = self.material.gauge
+        gauge = self.gauge
         values = {
             "gauge_pressure_pa": round(gauge.value, 1),
             "gauge_sigma_pa": max(round(gauge.sigma, 1), _RESOLUTION_PA),
@@ -154,7 +196,7 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     if gas is not None and vented is not None:
         return _above_open_chamber(samples.source_name, gas, vented)
     if gas is not None:
-        return _without_open_chamber(samples.source_name, float(np.mean(gas)), pneumatics)
+        return _without_open_chamber(samples.source_name, gas, pneumatics)
     if vented is not None:
         raise InputError(
             f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
@@ -174,7 +216,7 @@ def _above_open_chamber(name: str, gas: np.ndarray, vented: Quantity) -> Quantit
     return Quantity.normal(gauge, sigma, vented.source)
 
 
-def _without_open_chamber(name: str, recorded: float, pneumatics: Pneumatics) -> Quantity:
+def _without_open_chamber(name: str, gas: np.ndarray, pneumatics: Pneumatics) -> Quantity:
     """Gauge pressure by the recorded gas pressure and the sensor file.
 
     Where the recorded pressure differs from that of the sensor file, either the weather or the
@@ -183,7 +225,9 @@ def _without_open_chamber(name: str, recorded: float, pneumatics: Pneumatics) ->
     the least there may be: a higher one in the file is taken.
     """
     in_file, air = pneumatics.gauge_pressure_pa, pneumatics.atmospheric_pressure_pa
-    gauge, sigma = recorded - air, pneumatics.atmospheric_sigma_pa
+    recorded = float(np.mean(gas))
+    sigma = float(np.hypot(pneumatics.atmospheric_sigma_pa, error_of_mean(gas)))
+    gauge = recorded - air
     if pneumatics.gauge_sigma_pa is not None:
         change = min(abs(gauge - in_file), WEATHER_SIGMA_PA)
         gauge, sigma, source = in_file, float(np.hypot(pneumatics.gauge_sigma_pa, change)), _FILE

@@ -15,7 +15,7 @@ from bubbleviz.calibration.rubber_problem import (
     SMALLEST_Q,
     RubberProblem,
 )
-from bubbleviz.calibration.tension import MaterialEstimate, Quantity
+from bubbleviz.calibration.tension import Quantity
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import LAG, MIN_FRAMES, FrameSource, robust_sigma
@@ -76,32 +76,30 @@ def with_rubber(
     shapes = levels or ([] if press is None else [press])
     if not shapes:
         return found
-    known = replace(found.material, shapes_kind="levels" if levels else "press")
+    found = replace(found, shapes_kind="levels" if levels else "press")
     try:
-        material = _fitted(found, known, shapes, level_sigma_pa)
+        return _fitted(found, shapes, level_sigma_pa)
     except InputError as error:
-        material = replace(known, why_not=str(error))
-    return replace(found, material=material)
+        return replace(found, why_not=str(error))
 
 
 def _fitted(
     found: Identification,
-    known: MaterialEstimate,
     shapes: Sequence[FrameSamples],  # levels, or a press
     level_sigma_pa: float | None,
-) -> MaterialEstimate:
-    """Estimate with λ and gauge pressure of the rubber, or the reason why λ is not determined.
+) -> Identification:
+    """The same with λ and gauge pressure of the rubber, or the reason why λ is not determined.
 
     λ counts as determined unless its interval at the gauge pressure found holds 1. One that holds
     constant tension ends at the largest λ: rubber of the best λ is nearer to the truth than that.
     Raises InputError: no rubber explains the shapes.
     """
-    names, kind, file = ", ".join(s.source_name for s in shapes), known.shapes_kind, known.gauge
+    names, kind, file = ", ".join(s.source_name for s in shapes), found.shapes_kind, found.gauge
     source = f"the press in {names}" if kind == "press" else f"inflation levels: {names}"
     problem = RubberProblem(found, shapes, level_sigma_pa, pressed=kind == "press")
     values, covariances, unexplained = problem.fit(file.sigma / file.value)
     change, rises = problem.change_rms_m, problem.rises_pa
-    known = replace(known, rises_pa=rises, change_rms_m=change, unexplained_rms_m=unexplained)
+    known = replace(found, rises_pa=rises, change_rms_m=change, unexplained_rms_m=unexplained)
     if unexplained > _MAX_UNEXPLAINED * change:
         misfit = f"misfit {1e3 * unexplained:.2g} mm rms of a change of {1e3 * change:.2g} mm rms"
         return replace(known, why_not=f"no rubber of this shape at rest fits: {misfit}")
@@ -111,12 +109,13 @@ def _fitted(
     variance = covariance[0, 0]
     if found.vented is None:
         shapes_alone, both = (
-            Quantity.normal(file.value * gauge, file.value * float(np.sqrt(square)), source)
-            for gauge, square in zip(values[:, 1].tolist(), covariances[:, 1, 1], strict=True)
+            Quantity.normal(file.value * share, file.value * float(np.sqrt(square)), source)
+            for share, square in zip(values[:, 1].tolist(), covariances[:, 1, 1], strict=True)
         )
         known = replace(known, gauge_candidates=(shapes_alone, file))
         sigma = _sigma_of_mean(known, both)
-        known = known.under(Quantity.normal(both.value, sigma, f"{source}; {file.source}"))
+        gauge = Quantity.normal(both.value, sigma, f"{source}; {file.source}")
+        known = replace(known, gauge=gauge)
         variance = variance * (sigma / both.sigma) ** 2
     else:
         source = f"{source}; the gauge pressure from {file.source}"
@@ -128,14 +127,14 @@ def _fitted(
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, high, low))
     stretch, share = Quantity(value, low, high, source), None
-    if found.surfaces.chosen != "sphere" and found.surfaces.as_flat_sheet is not None:
+    if found.surfaces.chosen != "sphere" and found.surfaces.flat_sheet is not None:
         # errors of the model may count more in it, but it lies between 0 and 1
         sigma = min(float(np.sqrt(covariance[2, 2])), SHARE_SIGMA)
         share = Quantity.normal(float(values[1, 2]), sigma, source)
     return replace(known, prestretch=stretch, sheet_share=share, why_not="")
 
 
-def _sigma_of_mean(known: MaterialEstimate, mean: Quantity) -> float:
+def _sigma_of_mean(known: Identification, mean: Quantity) -> float:
     """Standard deviation of the mean of the gauge pressures from shapes and sensor file, Pa.
 
     Model errors are the same in every recording and may have the sign of the file's error. So in

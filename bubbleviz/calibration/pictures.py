@@ -29,7 +29,7 @@ def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
 def local_tension_image(found: Identification) -> np.ndarray:
     """γ0 by the force balance of each pixel's neighbourhood, (H, W), N/m."""
     scale = _BLUR * float(np.sqrt(found.mesh.areas.sum()))
-    field = local_tension(found.mesh, found.material.gauge.value, scale)
+    field = local_tension(found.mesh, found.gauge.value, scale)
     hits = found.model.view.hits(np.zeros(len(field)))
     image = np.full(found.pixels.mask.shape, np.nan)
     image.ravel()[hits.ray] = hits.values(field, found.mesh.triangles)

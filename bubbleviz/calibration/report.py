@@ -110,16 +110,16 @@ def write_sensor(
 
 
 def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
-    sensor, tension = found.sensor, found.material.tension
+    sensor, tension = found.sensor, found.tension
     membrane = sensor.membrane
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
-    gauge = found.material.gauge
+    gauge = found.gauge
     if (stretch := found.prestretch) is not None:
         known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
         known["prestretch_from"] = stretch.source
-    if (share := found.material.sheet_share) is not None:
+    if (share := found.sheet_share) is not None:
         # holds the value, which is within 0 and 1
         ends = min(share.low, 1.0), max(share.high, 0.0)
         known["sheet_share_interval"] = round(ends[0], 3), round(ends[1], 3)
@@ -150,7 +150,7 @@ def _comment(found: Identification) -> str:
 
 def summary(found: Identification, origin: Origin) -> dict[str, Any]:
     """All numbers of an identification, SI units, ready for JSON."""
-    tension, surfaces = found.material, found.surfaces
+    surfaces = found.surfaces
     statistics, cap = found.samples.statistics, surfaces.cap
     return {
         "verdict": {
@@ -163,18 +163,18 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
         | {"frames": statistics.frames, "effective_frames": statistics.effective_frames},
-        "tension_n_per_m": asdict(tension.tension),
-        "tension_parts_n_per_m": tension.parts,
-        "tension_by_surface_n_per_m": tension.by_surface,
-        "tension_least_squares_n_per_m": tension.least_squares_n_per_m,
-        "tension_per_pascal_m": tension.per_pascal,
+        "tension_n_per_m": asdict(found.tension),
+        "tension_parts_n_per_m": found.parts,
+        "tension_by_surface_n_per_m": found.by_surface,
+        "tension_least_squares_n_per_m": found.least_squares_n_per_m,
+        "tension_per_pascal_m": surfaces.tension_m.value,
         "validation": _validation(found),
         "rectification": _rectification(found),
         "rubber": _rubber(found),
-        "gauge_pressure_pa": tension.gauge.value,
+        "gauge_pressure_pa": found.gauge.value,
         "gauge_pressure_measured": found.samples.gas_pressure_pa is not None,
         "surface": surfaces.chosen,
-        "dimensions": {name: asdict(each) for name, each in tension.dimensions.items()},
+        "dimensions": {name: asdict(each) for name, each in surfaces.dimensions.items()},
         "left_out_rms_m": surfaces.left_out_rms_m,
         "residual_rms_m": float(np.sqrt(np.mean(surfaces.residual_m[found.pixels.mask] ** 2))),
         "ellipsoid": {name: value.tolist() for name, value in asdict(cap).items()},
@@ -230,19 +230,18 @@ def _rectification(found: Identification) -> dict[str, Any]:
 
 def _rubber(found: Identification) -> dict[str, Any]:
     """λ and gauge pressure with intervals and sources, SI units, ready for JSON."""
-    material = found.material
-    gauge = material.gauge if found.vented or material.gauge_candidates else None
-    fitted = np.isfinite(material.unexplained_rms_m)
+    gauge = found.gauge if found.vented or found.gauge_candidates else None
+    fitted = np.isfinite(found.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
-        "prestretch": material.prestretch and asdict(material.prestretch),
-        "prestretch_from": material.prestretch and material.prestretch.source,
-        "sheet_share": material.sheet_share and asdict(material.sheet_share),
-        "why_not_determined": material.why_not or None,
+        "prestretch": found.prestretch and asdict(found.prestretch),
+        "prestretch_from": found.prestretch and found.prestretch.source,
+        "sheet_share": found.sheet_share and asdict(found.sheet_share),
+        "why_not_determined": found.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge),
-        "gauge_from": material.gauge.source,
-        "from": material.shapes_kind if fitted else None,
-        "levels": {name: getattr(material, name) for name in names} if fitted else None,
+        "gauge_from": found.gauge.source,
+        "from": found.shapes_kind if fitted else None,
+        "levels": {name: getattr(found, name) for name in names} if fitted else None,
     }
 
 

@@ -136,11 +136,11 @@ class RubberProblem:
         self._observer = observer = model.observer()
         self._surfaces, self._rest, self._mesh = found.surfaces, found.samples, found.mesh
         rest, mesh = self._rest, self._mesh
-        self._gauge_pa = gauge_pa = found.material.gauge.value
-        self._stress_sigma = found.material.stress_sigma
+        self._gauge_pa = gauge_pa = found.gauge.value
+        self._stress_sigma = found.surfaces.stress_sigma
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
-        film, sheet = _film_stress(mesh), self._surfaces.as_flat_sheet
+        film, sheet = _film_stress(mesh), self._surfaces.flat_sheet
         self._open_stress = np.zeros_like(film) if sheet is None else sheet[0].on(mesh) - film
         rubber = _rest_rubber(mesh, self._slack_m, film, self._open_stress)
         self._rubber = lru_cache(maxsize=3)(rubber)

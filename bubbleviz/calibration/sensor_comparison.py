@@ -57,13 +57,13 @@ class SensorComparison:
         before, after = (_numbers(model, measured) for model in models)
         known = old.calibration
         intervals = {
-            "γ0": new.material.tension,
+            "γ0": new.tension,
             "λ": new.prestretch,
-            "sheet share": new.material.sheet_share,
-            "gauge pressure": new.material.gauge,
+            "sheet share": new.sheet_share,
+            "gauge pressure": new.gauge,
         }
         names = list(intervals)
-        intervals["height"] = new.material.dimensions["height_m"]
+        intervals["height"] = new.surfaces.dimensions["height_m"]
         half = {name: each.half_width for name, each in intervals.items() if each}
         old_half: dict[str, float] = {}
         if known is not None:

@@ -10,8 +10,7 @@ smaller by more than three standard errors, and by more than the error of the fl
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,8 +25,9 @@ from bubbleviz.calibration.segmentation import (
     outer_edge,
     rim_height,
 )
+from bubbleviz.calibration.tension import Quantity
 from bubbleviz.camera import DepthCamera, MembraneView, facet_error
-from bubbleviz.membrane import MembraneMesh, Prestress, as_flat_sheet, mesh_cap
+from bubbleviz.membrane import MembraneMesh, Prestress, mesh_cap
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_weights
 
@@ -35,6 +35,7 @@ SurfaceName = Literal["sphere", "ellipsoid", "free-form"]
 SURFACE_NAMES: tuple[SurfaceName, ...] = ("sphere", "ellipsoid", "free-form")
 """From the simplest to the most general."""
 
+NOT_YET: Any = None  # value of a result whose step was not done
 _SCALE = 0.5  # of the rim's smaller semi-axis: the cap alone fits broader shapes
 _STANDARD_ERRORS = 3.0  # strict, as overfitting costs more than a surface that is too simple
 _PIXELS_A_NODE = 40
@@ -67,11 +68,33 @@ class Surfaces:
     residual_m: np.ndarray
     visible_share: float  # of the dome's area
     motion_m: float  # largest motion of the dome between frames beyond noise, m
+    # by `with_tension`: γ0 of the chosen surface under 1 Pa, m, with the error of the shape
+    tension_m: Quantity = NOT_YET
+    # standard deviation of it by each source of error: `pixels` (noise, and fixed pattern of the
+    # camera), `frames` (drift beyond noise), `facets` (of the mesh), `surface` (hidden or
+    # unresolved shape: uncertainty of the free form, difference between free form and cap, and,
+    # where a cap was chosen, between that and one fitted to the upper half alone) and `statics`
+    # (mean tension that shape and pressure do not determine: between that of a soap film and that
+    # of an initially flat sheet)
+    tension_parts_m: dict[str, float] = NOT_YET
+    tension_by_surface_m: dict[SurfaceName, float] = NOT_YET  # under 1 Pa, of every surface
+    # under 1 Pa by least squares over the nodes of the mesh instead of the overall balance; smaller
+    # where the mean curvature varies, so that no uniform tension fits
+    least_squares_m: float = NOT_YET
+    # `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
+    # `rim_semi_axis_x_m` … of an ellipsoid, m
+    dimensions: dict[str, Quantity] = NOT_YET
+    # stress and excess of tension of an initially flat sheet, see `as_flat_sheet`
+    flat_sheet: tuple[Prestress, float] | None = None
 
-    @cached_property
-    def as_flat_sheet(self) -> tuple[Prestress, float] | None:
-        """Stress and excess of tension of an initially flat sheet, see `as_flat_sheet`."""
-        return as_flat_sheet(self.mesh)
+    @property
+    def stress_sigma(self) -> float:
+        """Relative standard deviation of a film's stress at a given gauge pressure, by its shape.
+
+        What the shape leaves open is an unknown of the rubber's fit itself.
+        """
+        own = [part for name, part in self.tension_parts_m.items() if name != "statics"]
+        return float(np.linalg.norm(own)) / self.tension_m.value
 
     @property
     def chosen_cap(self) -> Ellipsoid:

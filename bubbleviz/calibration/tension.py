@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,13 +12,15 @@ from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
 from bubbleviz.calibration.free_form import FreeForm
 from bubbleviz.calibration.rest_frames import FrameSamples
-from bubbleviz.calibration.surface import SurfaceName, Surfaces
 from bubbleviz.camera import facet_error
-from bubbleviz.membrane import balance_tension, least_squares_tension
+from bubbleviz.membrane import as_flat_sheet, balance_tension, least_squares_tension
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import error_of_mean, robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of, rounded
+
+if TYPE_CHECKING:
+    from bubbleviz.calibration.surface import SurfaceName, Surfaces
 
 _CLIP = 3.0  # standard deviations beyond which the mean of a pixel ignores samples
 
@@ -52,105 +54,22 @@ class Quantity:
         value, low, high = (rounded(each, decimals) for each in (self.value, *self.positive))
         return value, low, high
 
+    def times(self, factor: float) -> Quantity:
+        """The same in units smaller by a factor, which is exact."""
+        return replace(
+            self, value=factor * self.value, low=factor * self.low, high=factor * self.high
+        )
+
     @classmethod
     def normal(cls, value: float, sigma: float, source: str = "") -> Quantity:
         """With a normal error of a standard deviation."""
         return cls(value, value - HALF_95 * sigma, value + HALF_95 * sigma, source)
 
 
-@dataclass(frozen=True)
-class MaterialEstimate:
-    """γ0 by Young–Laplace, gauge pressure, and pre-stretch λ where it is determined."""
+def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress = quiet) -> Surfaces:
+    """The surfaces with γ0 by Young–Laplace: P R/2 of a sphere, else by force balance.
 
-    # γ0, N/m, of the chosen surface, with the error of the shape alone, at an exact gauge pressure
-    of_shape: Quantity
-    # `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
-    # `rim_semi_axis_x_m` … of an ellipsoid, m
-    dimensions: dict[str, Quantity]
-    # standard deviation of γ0 by each source of error of the shape, N/m: `pixels` (noise, and fixed
-    # pattern of the camera), `frames` (drift beyond noise), `gas_pressure` (its noise, not its
-    # zero), `facets` (of the mesh), `surface` (hidden or unresolved shape: uncertainty of the free
-    # form, difference between free form and cap, and, where a cap was chosen, between that and one
-    # fitted to the upper half alone) and `statics` (mean tension that shape and pressure do not
-    # determine: between that of a soap film and that of an initially flat sheet)
-    shape_parts: dict[str, float]
-    by_surface: dict[SurfaceName, float]  # γ0 of every surface, N/m
-    # γ0 of the mesh by least squares over its nodes instead of the overall balance; smaller where
-    # the mean curvature varies, so that no uniform tension fits
-    least_squares_n_per_m: float
-    gauge: Quantity  # gauge pressure, Pa; γ0's interval includes its error
-    prestretch: Quantity | None = None  # λ; None: not determined
-    # share of an initially flat sheet in the stress that a rim leaves open; None: not determined
-    sheet_share: Quantity | None = None
-    why_not: str = "neither levels nor a held press were used"  # to determine λ
-    shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
-    # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
-    # weighted mean of both
-    gauge_candidates: tuple[Quantity, Quantity] | None = None
-    rises_pa: tuple[float, ...] = ()  # gas pressure of every shape over that at rest, Pa
-    # robust rms of the changes of range from rest, and of the residuals of the rubber model, m
-    change_rms_m: float = np.nan
-    unexplained_rms_m: float = np.nan
-
-    @property
-    def contradicts_file(self) -> bool:
-        """Whether gauge pressures from shapes and file differ by more than their intervals."""
-        if self.gauge_candidates is None:
-            return False
-        shapes, file = self.gauge_candidates
-        return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
-
-    @property
-    def per_pascal(self) -> float:
-        """Derivative of γ0 by the gauge pressure, m; γ0 is proportional to it."""
-        return self.of_shape.value / self.gauge.value
-
-    @property
-    def stress_sigma(self) -> float:
-        """Relative standard deviation of a film's stress at a given gauge pressure, by its shape.
-
-        What the shape leaves open and the noise of the gas pressure are unknowns of the rubber's
-        fit themselves.
-        """
-        parts = self.shape_parts.items()
-        own = [part for name, part in parts if name not in ("statics", "gas_pressure")]
-        return float(np.linalg.norm(own)) / self.of_shape.value
-
-    @property
-    def parts(self) -> dict[str, float]:
-        """Standard deviation of γ0 by every source: those of the shape, `gauge_pressure`, N/m."""
-        return self.shape_parts | {"gauge_pressure": self.per_pascal * self.gauge.sigma}
-
-    @property
-    def tension(self) -> Quantity:
-        """γ0, N/m, of the chosen surface."""
-        shape, other = self.of_shape, self.per_pascal * self.gauge.half_width
-        low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
-        ends = shape.value - low, shape.value + high
-        return Quantity(shape.value, *ends, "shape and gauge pressure")
-
-    def under(self, gauge: Quantity) -> MaterialEstimate:
-        """The same estimate for another gauge pressure with its interval."""
-        scale, shape = gauge.value / self.gauge.value, self.of_shape
-        return replace(
-            self,
-            of_shape=Quantity(scale * shape.value, scale * shape.low, scale * shape.high),
-            shape_parts={name: scale * part for name, part in self.shape_parts.items()},
-            by_surface={name: scale * each for name, each in self.by_surface.items()},
-            least_squares_n_per_m=scale * self.least_squares_n_per_m,
-            gauge=gauge,
-        )
-
-
-def estimate_tension(
-    samples: FrameSamples,
-    surfaces: Surfaces,
-    gauge: Quantity,  # gauge pressure, Pa
-    progress: Progress = quiet,
-) -> MaterialEstimate:
-    """γ0 by Young–Laplace: P R/2 of a sphere, else by force balance over the chosen surface.
-
-    Raises InputError: no tension balances the surface.
+    Raises InputError: no tension balances the chosen surface.
     """
     free_form, stride = surfaces.free_form, surfaces.stride
     if surfaces.chosen == "free-form":
@@ -158,7 +77,7 @@ def estimate_tension(
     else:
         linear = _linear_cap(samples, surfaces)
     now, (tiles, frames) = linear[0], _errors(samples, linear, stride, progress)
-    sphere, cap, gas = surfaces.sphere, surfaces.cap, samples.gas_pressure_pa
+    sphere, cap = surfaces.sphere, surfaces.cap
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * float(sphere.semi_axes_m[0]),
         "ellipsoid": _cap_numbers(cap)(cap)["tension_m"],
@@ -174,30 +93,28 @@ def estimate_tension(
     ]
     if surfaces.chosen != "free-form":
         shape.append(_upper_half(samples, surfaces) - by_surface[other])
-    value = now["tension_m"]
-    sheet = surfaces.as_flat_sheet
+    value, sheet = now["tension_m"], as_flat_sheet(surfaces.mesh)
     excess = 0.0 if sheet is None else value * sheet[1]
     parts = {
         "pixels": float(tiles[0]),
         "frames": float(frames[0]),
-        "gas_pressure": value * (0.0 if gas is None else error_of_mean(gas)) / gauge.value,
         "facets": 0.5 * facets,
         "surface": float(np.linalg.norm(shape)),
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
     own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
-    under_1_pa = MaterialEstimate(
-        of_shape=Quantity(value, own.low, own.high),
+    return replace(
+        surfaces,
+        tension_m=Quantity(value, own.low, own.high),
+        tension_parts_m=parts,
+        tension_by_surface_m=by_surface,
+        least_squares_m=least_squares_tension(surfaces.mesh, 1.0),
         dimensions={
             name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))
             for (name, size), *errors in list(zip(now.items(), tiles, frames, strict=True))[1:]
         },
-        shape_parts=parts,
-        by_surface=by_surface,
-        least_squares_n_per_m=least_squares_tension(surfaces.mesh, 1.0),
-        gauge=Quantity.normal(1.0, 0.0),
+        flat_sheet=sheet,
     )
-    return under_1_pa.under(gauge)
 
 
 def _errors(

@@ -25,7 +25,6 @@ _OF_TENSION = {
     "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
     "noise and fixed pattern of the pixels)",
     "frames": "let gas and camera settle before recording (largest error: drift between frames)",
-    "gas_pressure": "record longer (largest error: noise of the gas pressure)",
     "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
     "gauge_pressure": "{chamber} (largest error: gauge pressure)",
     "statics": "not possible (largest error: tension that differs over the membrane, which shape "
@@ -43,21 +42,21 @@ def pascals(pressure_pa: float) -> str:
 
 def grade(found: Identification) -> Grade:
     """Grade of an identification by its numbers."""
-    tension = found.material.tension
+    tension = found.tension
     relative = tension.half_width / tension.value
-    if relative > _USABLE or found.material.contradicts_file:
+    if relative > _USABLE or found.contradicts_file:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
 
 
 def headline(found: Identification, pressure: PressureText = pascals) -> str:
     """The grade and γ0 in one line; `pressure` formats pressures."""
-    tension = found.material.tension
+    tension = found.tension
     value, low, high = tension.texts(2)
     return (
         f"{grade(found)}: γ0 = {value} N/m, 95 % interval {low} to {high} "
         f"({_percent(tension.half_width / tension.value)} either way), at "
-        f"{pressure(found.material.gauge.value)} gauge pressure"
+        f"{pressure(found.gauge.value)} gauge pressure"
     )
 
 
@@ -78,9 +77,9 @@ def _surface(found: Identification) -> str:
 
 def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     """Reasons to grade an identification below good."""
-    material, surfaces = found.material, found.surfaces
+    surfaces = found.surfaces
     out = []
-    gauge, candidates = material.gauge, material.gauge_candidates
+    gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
     change = gauge.value / found.given.pneumatics.gauge_pressure_pa - 1.0
     local = ", or enter the atmospheric pressure of the place in the sensor file"
@@ -92,10 +91,10 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"sensor file's gauge pressure, {known_to}: record the gas pressure, or measure the "
             "gauge pressure and enter it with its standard deviation, gauge_sigma_pa."
         )
-    elif candidates is not None and material.contradicts_file:
+    elif candidates is not None and found.contradicts_file:
         shapes, file = (_interval(each, pressure) for each in candidates)
         out.append(
-            f"Gauge pressure: {shapes} from the {material.shapes_kind}, {file} from "
+            f"Gauge pressure: {shapes} from the {found.shapes_kind}, {file} from "
             f"{candidates[1].source}; one of them is wrong. Record the open chamber "
             "for ten seconds (--vented)."
         )
@@ -118,16 +117,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             "the surface is extrapolated from the fitted cap, and contact is only inferred."
             " Uncover the camera, or check its pose in the sensor file."
         )
-    height = material.dimensions["height_m"].value
+    height = surfaces.dimensions["height_m"].value
     rim = surfaces.rim_height_m
     if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
             f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
             "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
-    value, least = material.tension.value, material.least_squares_n_per_m
+    value, least = found.tension.value, found.least_squares_n_per_m
     apart = abs(least - value)
-    if apart > max(_GOOD * value, material.of_shape.half_width):
+    if apart > max(_GOOD * value, found.of_shape.half_width):
         out.append(
             f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
             f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
@@ -146,28 +145,28 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     Each row has a `name`, the `value` with its 95 % interval, what it is `told_by`, or why it is
     not determined, and what makes the interval `narrower`.
     """
-    material, vented = found.material, found.vented is not None
-    gauge, stretch, share = material.gauge, material.prestretch, material.sheet_share
+    vented = found.vented is not None
+    gauge, stretch, share = found.gauge, found.prestretch, found.sheet_share
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
-    part = max(material.parts, key=lambda name: material.parts[name])
+    part = max(found.parts, key=lambda name: found.parts[name])
     of_tension = _OF_TENSION[part].format(chamber=chamber_text)
     pressures = tuple(map(pressure, (gauge.value, *gauge.positive)))
     rows = [
-        ("γ0", _range(material.tension.texts(2), " N/m"), material.tension.source, of_tension),
+        ("γ0", _range(found.tension.texts(2), " N/m"), found.tension.source, of_tension),
         ("gauge pressure", _range(pressures), gauge.source, chamber_text),
     ]
     if stretch is None:
         narrower = f"{_LEVELS}, or press it deeply and hold still"
-        rows.append(("λ", "not determined", material.why_not, narrower))
+        rows.append(("λ", "not determined", found.why_not, narrower))
     else:
         narrower = _FARTHER if vented else chamber
         rows.append(("λ", _range(stretch.texts(3)), stretch.source, narrower))
     if share is not None:
         value, low, high = (min(max(x, 0.0), 1.0) for x in (share.value, share.low, share.high))
-        narrower = _LEVELS if material.shapes_kind == "press" else _FARTHER
+        narrower = _LEVELS if found.shapes_kind == "press" else _FARTHER
         texts = Quantity(value, low, high).texts(2)
         rows.append(("sheet share", _range(texts), share.source, narrower))
     return [dict(zip(_COLUMNS, row, strict=True)) for row in rows]

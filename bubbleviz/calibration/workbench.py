@@ -30,7 +30,7 @@ from bubbleviz.calibration.rest_frames import (
     select_pixels,
 )
 from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
-from bubbleviz.calibration.tension import estimate_tension
+from bubbleviz.calibration.tension import with_tension
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource, Recording, find_contact_free
@@ -178,15 +178,13 @@ class Workbench:
             vented = self._of_other(settings.vented, "vented", open_chamber)
         with _errors_name(self.source):
             gauge = rest_gauge(found.samples, self.sensor, vented)
-            material = self._cached(
+            surfaces = self._cached(
                 "tension",
-                (found.ranges, settings.nodes, settings.surface, settings.vented),
-                lambda: estimate_tension(
-                    found.samples, found.surfaces, gauge, part_of(progress, 0.0, 0.5)
-                ),
+                (found.ranges, settings.nodes, settings.surface),
+                lambda: with_tension(found.samples, found.surfaces, part_of(progress, 0.0, 0.5)),
             )
         every = [level.result() for level in levels]
-        plain = rectify(replace(found, material=material, vented=vented), every)
+        plain = rectify(replace(found, surfaces=surfaces, gauge=gauge, vented=vented), every)
         progress("fitting the rubber", 0.5)
         fitted = self._cached(
             "rubber",

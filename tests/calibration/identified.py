@@ -14,7 +14,7 @@ def identify(source, sensor, frames=None, **settings):
 def opened(found, vented):
     """The same with the gas pressure of the open chamber."""
     gauge = rest_gauge(found.samples, found.given, vented)
-    return replace(found, material=found.material.under(gauge), vented=vented)
+    return replace(found, gauge=gauge, vented=vented)
 
 
 def with_air(sensor, pressure_pa):

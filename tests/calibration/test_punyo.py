@@ -52,7 +52,7 @@ def test_held_out_residual_and_fits(press, found):
 @pytest.mark.long  # in short: of a sphere, in test_identify_command.py
 def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert found.surfaces.chosen == "free-form"
-    assert found.material.of_shape.half_width < 0.05 * found.tension_n_per_m
+    assert found.of_shape.half_width < 0.05 * found.tension_n_per_m
     write_sensor(found, tmp_path / "half.toml")
     pipeline = Pipeline.of(load_sensor(tmp_path / "half.toml"), intrinsics=press[0].intrinsics)
     forces = [
@@ -66,19 +66,19 @@ def test_no_force_on_frames_not_used(press, found, tmp_path):
 def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, found):
     """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean."""
     result = with_rubber(found, [], press=collect_press(press, found.samples, found.given))
-    gauge, _ = result.material.gauge_candidates
+    gauge, _ = result.gauge_candidates
     local_pa = np.mean(found.samples.gas_pressure_pa) - 98_700.0
-    assert not result.material.contradicts_file
-    assert result.material.gauge.low < local_pa < result.material.gauge.high
-    assert result.material.gauge.source.startswith("the press in")
+    assert not result.contradicts_file
+    assert result.gauge.low < local_pa < result.gauge.high
+    assert result.gauge.source.startswith("the press in")
     held = collect_press(press, found.samples, found.given).frames
     for parts in (2, 3):
         for frames in np.array_split(held, parts):
             part = with_rubber(found, [], press=collect(press, found.given, frames.tolist()))
-            assert gauge.low < part.material.gauge_candidates[0].value < gauge.high, frames
+            assert gauge.low < part.gauge_candidates[0].value < gauge.high, frames
     assert gauge.half_width < 0.15 * gauge.value
     assert gauge.low < local_pa < gauge.high
-    assert result.material.prestretch is not None
+    assert result.prestretch is not None
 
 
 @pytest.mark.long  # in short: of the twin, in test_refusals.py

@@ -150,20 +150,20 @@ def test_stretch_that_levels_hardly_tell_from_constant_tension():
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
     """The zero of the absolute sensor cancels."""
     only = with_rubber(opened(found, vented), [])
-    assert only.material.gauge.source == "the open-chamber recording vented"
-    assert only.material.prestretch is None
-    assert only.material.gauge.low < G < only.material.gauge.high
-    assert only.material.gauge.half_width < 0.005 * G
+    assert only.gauge.source == "the open-chamber recording vented"
+    assert only.prestretch is None
+    assert only.gauge.low < G < only.gauge.high
+    assert only.gauge.half_width < 0.005 * G
     assert only.sensor.pneumatics.atmospheric_pressure_pa == pytest.approx(
         ATMOSPHERE_PA + OFFSET, abs=3.0
     )
-    assert "neither levels nor" in only.material.why_not
+    assert "neither levels nor" in only.why_not
 
 
 def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     levels = [level(found, share) for share in (0.85, 1.15)]
-    known = with_rubber(opened(found, vented), levels).material
-    free = with_rubber(found, levels).material
+    known = with_rubber(opened(found, vented), levels)
+    free = with_rubber(found, levels)
     assert known.prestretch.low < SHEET.prestretch < known.prestretch.high
     assert known.prestretch.value == pytest.approx(SHEET.prestretch, abs=0.02)
     width = known.prestretch.half_width
@@ -173,15 +173,15 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
 def test_tension_that_shape_leaves_open_does_not_widen_the_prestretch(found, vented):
     """The fit has the stress between film and flat sheet as an unknown: once is enough."""
     levels, known = [level(found, share) for share in (0.85, 1.15)], opened(found, vented)
-    shape, parts = known.material.of_shape, known.material.shape_parts
+    shape, parts = known.surfaces.tension_m, known.surfaces.tension_parts_m
     open_part = 0.05 * shape.value
     uneven = replace(
-        known.material,
-        of_shape=Quantity.normal(shape.value, float(np.hypot(shape.sigma, open_part))),
-        shape_parts=parts | {"statics": open_part},
+        known.surfaces,
+        tension_m=Quantity.normal(shape.value, float(np.hypot(shape.sigma, open_part))),
+        tension_parts_m=parts | {"statics": open_part},
     )
     usual = with_rubber(known, levels).prestretch
-    same = with_rubber(replace(known, material=uneven), levels).prestretch
+    same = with_rubber(replace(known, surfaces=uneven), levels).prestretch
     assert same.half_width == pytest.approx(usual.half_width, rel=1e-3)
 
 
@@ -192,11 +192,11 @@ def test_a_level_whose_pressure_is_off_by_two_percent_widens_the_interval(found,
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + off * 1.15 * G)
     for given in (found, opened(found, vented)):
         usual = with_rubber(given, [low, high])
-        assert usual.material.gauge.low < G < usual.material.gauge.high
-        stretch = usual.material.prestretch
+        assert usual.gauge.low < G < usual.gauge.high
+        stretch = usual.prestretch
         assert stretch is None or stretch.low < SHEET.prestretch < stretch.high
     known = opened(found, vented)
-    exact = with_rubber(known, [low, high], level_sigma_pa=1.0).material.prestretch
+    exact = with_rubber(known, [low, high], level_sigma_pa=1.0).prestretch
     assert not exact.low < SHEET.prestretch < exact.high
 
 
@@ -216,7 +216,7 @@ def test_interval_on_an_oval_rim_holds_any_stress_that_balances(vented):
     rest = opened(identify(oval_at(1.0, frames=60), given, range(60)), vented)
     low, high = (collect(oval_at(share, frames=60), given, range(60)) for share in (0.85, 1.15))
     high = replace(high, gas_pressure_pa=high.gas_pressure_pa + 0.02 * 1.15 * G)
-    stretch = with_rubber(rest, [low, high]).material.prestretch
+    stretch = with_rubber(rest, [low, high]).prestretch
     assert stretch.low < OVAL.prestretch < stretch.high
 
 
@@ -237,8 +237,8 @@ def test_gauge_pressure_by_levels_on_an_oval_rim(vented, moulded):
     found = identify(rest, given, range(20))
     levels = [collect(each, given, range(20)) for each in (low, high)]
     fitted = with_rubber(found, levels)
-    alone, _ = fitted.material.gauge_candidates
-    share = fitted.material.sheet_share
+    alone, _ = fitted.gauge_candidates
+    share = fitted.sheet_share
     assert fitted.sensor.membrane.sheet_share == pytest.approx(np.clip(share.value, 0, 1), abs=1e-3)
     assert share.half_width < 0.57  # of a uniform distribution
     assert share.low < (0.13 if moulded else 0.73) < share.high  # by its stress
@@ -255,8 +255,8 @@ def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented)
     ranges[int(0.45 * rows) : int(0.55 * rows)] -= 3e-3
     shaded = replace(low, statistics=replace(low.statistics, range_m=ranges))
     known = opened(found, vented)
-    clean = with_rubber(known, [low, high]).material.prestretch
-    crossed = with_rubber(known, [shaded, high]).material.prestretch
+    clean = with_rubber(known, [low, high]).prestretch
+    crossed = with_rubber(known, [shaded, high]).prestretch
     assert crossed.value == pytest.approx(clean.value, abs=0.25 * clean.half_width)
     assert crossed.low < SHEET.prestretch < crossed.high
 
@@ -273,12 +273,12 @@ def test_interval_of_the_open_chamber_holds_its_pressure(readings, correlation, 
 def test_levels_that_do_not_determine_the_prestretch(found):
     low = level(found, 0.85)
     kept = with_rubber(found, [replace(low, gas_pressure_pa=None)])
-    assert kept.material.prestretch is None and "lack the gas pressure" in kept.material.why_not
+    assert kept.prestretch is None and "lack the gas pressure" in kept.why_not
     assert kept.sensor == found.sensor
     alike = with_rubber(found, [level(found, 1.002)])
-    assert alike.material.prestretch is None and "from that at rest" in alike.material.why_not
+    assert alike.prestretch is None and "from that at rest" in alike.why_not
     wrong = replace(low, gas_pressure_pa=low.gas_pressure_pa + 0.25 * G)  # it sank as it rose
-    assert with_rubber(found, [wrong]).material.prestretch is None
+    assert with_rubber(found, [wrong]).prestretch is None
 
 
 def test_open_chamber_of_a_sensor_without_noise(found):

@@ -132,12 +132,12 @@ def test_the_flat_sheet_compared_has_the_height_of_the_surface(pressed):
     height = surfaces.mesh.nodes[:, 2].max()
     low, high = np.interp([0.98 * height, 1.02 * height], *np.transpose(inflated))
     assert inflated[0][0] < 0.98 * height and 1.02 * height < inflated[-1][0]
-    assert low - 1e-4 < surfaces.as_flat_sheet[1] < high + 1e-4
+    assert low - 1e-4 < surfaces.flat_sheet[1] < high + 1e-4
 
 
 def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     """The sensor file's atmosphere is 0.9 kPa too much."""
-    rubber, stretch = with_press.material, truth[3]
+    rubber, stretch = with_press, truth[3]
     assert rubber.prestretch.source == "the press in press"
     file = "the recorded gas pressure minus the atmospheric pressure in the sensor file"
     assert rubber.gauge.source == f"the press in press; {file}"
@@ -155,7 +155,7 @@ def test_report_names_the_pressed_object(with_press):
     numbers = summary(with_press, {})
     assert numbers["rubber"]["from"] == "press"
     assert numbers["gauge_pressure_measured"] is True
-    assert numbers["rubber"]["levels"]["rises_pa"] == with_press.material.rises_pa
+    assert numbers["rubber"]["levels"]["rises_pa"] == with_press.rises_pa
 
 
 def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press):
@@ -168,11 +168,9 @@ def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press
             gas_pressure_pa=held.gas_pressure_pa[part],
             statistics=measure_depth(held.depth_m[part], held.camera.range_per_depth),
         )
-        shapes, _ = with_rubber(found, [], press=half).material.gauge_candidates
+        shapes, _ = with_rubber(found, [], press=half).gauge_candidates
         assert (
-            with_press.material.gauge_candidates[0].low
-            < shapes.value
-            < with_press.material.gauge_candidates[0].high
+            with_press.gauge_candidates[0].low < shapes.value < with_press.gauge_candidates[0].high
         )
 
 
@@ -182,9 +180,9 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
     vented = Quantity.normal(ATMOSPHERE_PA, 2.0, chamber)
     found, held = identified(truth, seed=7, air_pa=ATMOSPHERE_PA)
     known = with_rubber(opened(found, vented), [], press=held)
-    assert known.material.gauge.source == chamber
-    assert known.material.gauge.value == pytest.approx(G, rel=0.003)
-    rubber = known.material
+    assert known.gauge.source == chamber
+    assert known.gauge.value == pytest.approx(G, rel=0.003)
+    rubber = known
     assert rubber.prestretch.low < truth[3] < rubber.prestretch.high
     assert rubber.prestretch.source == f"the press in press; the gauge pressure from {chamber}"
 
@@ -200,9 +198,9 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):
         depth_m=held.depth_m + glare.astype(np.float32),
         statistics=replace(held.statistics, range_m=ranges),
     )
-    crossed_rubber, clean_rubber = with_rubber(found, [], press=shiny).material, with_press.material
+    shone = with_rubber(found, [], press=shiny)
     for name in ("gauge", "prestretch"):
-        crossed, clean = getattr(crossed_rubber, name), getattr(clean_rubber, name)
+        crossed, clean = getattr(shone, name), getattr(with_press, name)
         assert crossed.value == pytest.approx(clean.value, abs=0.5 * clean.half_width)
 
 
@@ -210,12 +208,12 @@ def test_press_without_information(pressed):
     found, held = pressed
     silent = replace(held, gas_pressure_pa=None)
     kept = with_rubber(found, [], press=silent)
-    assert kept.sensor == found.sensor and "gas pressure" in kept.material.why_not
+    assert kept.sensor == found.sensor and "gas pressure" in kept.why_not
     untouched = replace(found.samples, gas_pressure_pa=found.samples.gas_pressure_pa + 400.0)
     kept = with_rubber(found, [], press=untouched)
-    assert kept.sensor == found.sensor and "no dent" in kept.material.why_not
+    assert kept.sensor == found.sensor and "no dent" in kept.why_not
     wrong = replace(held, gas_pressure_pa=held.gas_pressure_pa - 600.0)
     kept = with_rubber(found, [], press=wrong)
-    assert kept.material.gauge_candidates is None and kept.material.prestretch is None
-    assert "the gas pressure falls by " in kept.material.why_not
+    assert kept.gauge_candidates is None and kept.prestretch is None
+    assert "the gas pressure falls by " in kept.why_not
     assert kept.sensor == found.sensor

@@ -30,8 +30,8 @@ def test_disagreement_of_balance_and_least_squares_prevents_grade_good():
     """On a tall spheroid no constant tension is in balance with the gas pressure everywhere."""
     found = identified(Dome((0.07, 0.07, 0.09), 0.05, NOISE, 0, frames=20, scale=0.35))
     (reason,) = (line for line in advice(found) if "apart" in line)
-    assert f"{found.material.tension.value:.1f} N/m" in reason
-    assert f"{found.material.least_squares_n_per_m:.1f} N/m" in reason
+    assert f"{found.tension.value:.1f} N/m" in reason
+    assert f"{found.least_squares_n_per_m:.1f} N/m" in reason
     assert grade(found) != "good"
 
 
@@ -44,17 +44,17 @@ def test_balance_and_least_squares_agree_on_a_sphere():
 def ball():
     """Ideal apart from the small number of frames, 20."""
     found = identified(sphere(0, NOISE, frames=20, scale=0.35))
-    gas = np.full(20, 1e5 + found.material.gauge.value)
+    gas = np.full(20, 1e5 + found.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
     return gauged(with_seen_share(replace(found, samples=samples), 1.0), 1.0)
 
 
 def with_tension(found, relative, **changes):
-    """The same with another relative half-width of γ0, and other fields of its estimate."""
-    value = found.material.tension.value
+    """The same with another relative half-width of γ0, and other fields of its surfaces."""
+    value = found.surfaces.tension_m.value
     interval = Quantity(value, (1.0 - relative) * value, (1.0 + relative) * value)
-    estimate = {"of_shape": interval, "least_squares_n_per_m": value} | changes
-    return replace(found, material=replace(found.material, **estimate))
+    changes = {"tension_m": interval, "least_squares_m": value} | changes
+    return replace(found, surfaces=replace(found.surfaces, **changes))
 
 
 def in_frames(found, frames):
@@ -64,7 +64,7 @@ def in_frames(found, frames):
 
 def gauged(found, share):
     given = found.given.pneumatics.gauge_pressure_pa
-    return with_tension(found, 0.01, gauge=Quantity.normal(share * given, 0.0))
+    return replace(with_tension(found, 0.01), gauge=Quantity.normal(share * given, 0.0))
 
 
 def without_gas(found):
@@ -94,7 +94,7 @@ def test_grade_follows_the_interval_unless_there_is_a_warning(ball, relative, fr
     found = with_tension(in_frames(ball, frames), relative)
     assert grade(found) == expected
     line = headline(found)
-    assert line.startswith(f"{expected}: γ0 = {ball.material.tension.value:.1f} N/m")
+    assert line.startswith(f"{expected}: γ0 = {ball.tension.value:.1f} N/m")
     assert f"({100 * relative:.2g} % either way)" in line
     few = any(f"Only {frames} contact-free frames" in line for line in advice(found))
     assert few is (frames < 30)
@@ -127,9 +127,9 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
     assert "95 % interval" in gauge["value"] and "(--vented)" in gauge["narrower"]
     assert stretch["value"] == "not determined" and "(--level)" in stretch["narrower"]
     assert "neither levels nor" in sentence(stretch)
-    parts = ball.material.parts
+    parts = ball.surfaces.tension_parts_m
     for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():
-        found = with_tension(ball, 0.01, shape_parts=parts | {name: 10.0 * max(parts.values())})
+        found = with_tension(ball, 0.01, tension_parts_m=parts | {name: 10.0 * max(parts.values())})
         tension = parameters(found)[0]
         assert said in tension["narrower"] and f"{ball.tension_n_per_m:.0f}" in tension["value"]
 
@@ -138,16 +138,16 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
 def test_stress_that_an_oval_rim_leaves_open_has_a_row_where_it_is_known(ball, kind, narrower):
     """Its interval is shown between those of a film, 0, and of a flat sheet, 1."""
     share = Quantity.normal(0.46, 0.3, f"the {kind}")
-    row = parameters(with_tension(ball, 0.01, sheet_share=share, shapes_kind=kind))[-1]
+    row = parameters(replace(ball, sheet_share=share, shapes_kind=kind))[-1]
     assert (row["name"], row["value"]) == ("sheet share", "0.46, 95 % interval 0.00 to 1.00")
     assert row["told_by"] == f"the {kind}" and narrower in row["narrower"]
 
 
 @pytest.mark.parametrize(("relative", "apart"), [(0.01, 0.021), (0.03, 0.025)])
 def test_least_squares_disagree_beyond_the_interval_and_two_percent(ball, relative, apart):
-    value = ball.material.tension.value
+    value = ball.surfaces.tension_m.value
     for sign in (-1.0, 1.0):
-        far = with_tension(ball, relative, least_squares_n_per_m=(1.0 + sign * apart) * value)
+        far = with_tension(ball, relative, least_squares_m=(1.0 + sign * apart) * value)
         warned = any(f"{100 * apart:.2g} % apart" in line for line in advice(far))
         assert warned is (apart > relative)
 

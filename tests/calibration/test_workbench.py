@@ -68,7 +68,7 @@ def full(**more):
 
 def test_steps_give_the_same_result_as_identify(bench, found):
     stepped = bench.work(full())
-    assert stepped.material.tension == found.material.tension
+    assert stepped.tension == found.tension
     np.testing.assert_array_equal(stepped.pixels.mask, found.pixels.mask)
     assert stepped.sensor == found.sensor
 
@@ -84,7 +84,7 @@ def test_steps_give_the_same_result_as_identify(bench, found):
 )
 def test_only_requested_steps_are_computed(bench, step, known):
     found = bench.work(Settings(step, nodes=NODES))
-    names = ("contact_free", "samples", "pixels", "surfaces", "material")
+    names = ("contact_free", "samples", "pixels", "surfaces", "gauge")
     assert [name for name in names if getattr(found, name) is not None] == known
     assert not found.complete
 
@@ -93,16 +93,16 @@ def test_removing_and_restoring_frames_gives_the_same_result(bench):
     whole = bench.work(full(ranges=((0, 20),)))
     less = bench.work(full(ranges=((0, 8), (12, 20))))
     assert less.samples.frames == (*range(8), *range(12, 20))
-    assert less.material.tension.value != whole.material.tension.value
+    assert less.tension.value != whole.tension.value
     reads = bench.source.reads
     again = bench.work(full(ranges=((0, 20),)))
-    assert again.material is whole.material and bench.source.reads == reads
+    assert again.surfaces is whole.surfaces and bench.source.reads == reads
 
 
 def test_threshold_recomputes_only_the_pixel_step(bench):
     before = bench.work(full())
     after = bench.work(full(deviations=1.0))
-    assert after.surfaces is before.surfaces and after.material is before.material
+    assert after.surfaces is before.surfaces
     assert after.pixels.mask.sum() < before.pixels.mask.sum()
 
 
@@ -114,7 +114,7 @@ def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
         calls += 1
         shares.append(done)
 
-    wanted = Workbench(dome, dome.sensor).work(full(), count).material.tension
+    wanted = Workbench(dome, dome.sensor).work(full(), count).tension
     # once from nothing to all, however many steps there are
     assert shares == sorted(shares) and shares[0] < 0.1 and shares[-1] == 1.0
     for stop in (calls // 3, 2 * calls // 3) if LONG else (calls // 2,):
@@ -129,7 +129,7 @@ def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
         fresh = Workbench(dome, dome.sensor)
         with pytest.raises(Cancelled):
             fresh.work(full(), cancel)
-        assert fresh.work(full()).material.tension == wanted
+        assert fresh.work(full()).tension == wanted
 
 
 def test_frame_ranges():
@@ -151,12 +151,11 @@ def test_a_sensor_does_not_differ_from_itself(found, tmp_path):
 
 def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
     stretch, gauge = Quantity(1.2, 1.15, 1.27), Quantity(2585.5, 2500.0, 2671.0)
-    material = replace(found.material.under(gauge), prestretch=stretch)
-    found = replace(found, material=material)
+    found = replace(found, gauge=gauge, prestretch=stretch)
     write_sensor(found, tmp_path / "own.toml")
     comparison = SensorComparison.of(load_sensor(tmp_path / "own.toml"), found)
     rows = {row.name: row for row in comparison.rows}
-    tension = found.material.tension.half_width
+    tension = found.tension.half_width
     for name, half in {"γ0": tension, "λ": 0.06, "gauge pressure": 85.5}.items():
         assert rows[name].half_width == pytest.approx(half, rel=1e-3), name
         assert rows[name].old_half_width == pytest.approx(half, rel=1e-2), name

@@ -71,7 +71,7 @@ def test_frames_are_chosen_by_mouse_and_keys_removed_and_replaced(bench):
     assert after.ranges == ((0, 5), (10, before.ranges[0][1]))
     assert not set(range(5, 10)) & set(after.samples.frames)
     assert after.contact_free is before.contact_free
-    assert after.material.tension.value != before.material.tension.value
+    assert after.tension.value != before.tension.value
     assert frames.message.text().startswith("frames 0–4, 10–")
 
     def replace(first, last):
@@ -83,8 +83,8 @@ def test_frames_are_chosen_by_mouse_and_keys_removed_and_replaced(bench):
     replaced = bench.answer
     assert replaced.found.ranges == ((3, 15),) == panel.strip.ranges
     assert replaced.work.settings.nodes == 150
-    value = replaced.found.material.tension.value
-    assert value != after.material.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
+    value = replaced.found.tension.value
+    assert value != after.tension.value and f"{value:.1f} N/m" in panel.verdict.text()
     replace("3", "5")
     assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated: settings changed since. ")
@@ -166,7 +166,7 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
         assert bench.answer.work.settings.last_step == step
         assert panel.page.view.image is not None
         assert panel.stack.currentWidget().horizontalScrollBar().maximum() == 0
-    estimate = bench.found.material
+    estimate = bench.found
     value, half = estimate.tension.value, estimate.tension.half_width
     assert panel.tension.numbers.text("γ0") == f"{value:.1f} ± {half:.1f} N/m"
     assert estimate.tension.low < TENSION < estimate.tension.high
@@ -193,7 +193,7 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
     for _ in range(4):
         bench.redo()
     assert bench.answer.work == last.work
-    assert bench.found.material.tension == last.found.material.tension
+    assert bench.found.tension == last.found.tension
     # undo while the number box has the focus
     bench.step(2)
     nodes = panel.surface.nodes
@@ -217,7 +217,7 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
         table.item(k, 0).text(): (table.item(k, 1).text(), table.item(k, 2).text())
         for k in range(table.rowCount())
     }
-    own = found.material.tension
+    own = found.tension
     assert cells["γ0"][1] == f"{own.value:.1f} ± {own.half_width:.1f} N/m"
     assert float(cells["γ0"][0].removesuffix(" N/m")) == pytest.approx(TENSION, rel=0.02)
     assert cells["height"][0] == "50.00 mm"
@@ -258,7 +258,7 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
     after, used = bench.found, bench.found.pixels.mask.sum()
     assert used < before.pixels.mask.sum() and page.view.image.sum() == used
     assert page.numbers.text("used") == f"{used} of {after.pixels.mask.size} pixels"
-    assert after.surfaces is before.surfaces and after.material is before.material
+    assert after.surfaces is before.surfaces
     page.validity.box.setValue(100.0)
     bench.done()
     assert panel.calibration.settings.min_validity == pytest.approx(1.0)

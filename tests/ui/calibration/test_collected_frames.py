@@ -41,7 +41,7 @@ def test_live_frames_are_collected_until_gamma0_is_precise(drive):
     bench.wait(lambda: not box.collector.active)
     bench.done()
     assert 10 <= len(bench.found.samples.frames) < 400
-    tension = bench.found.material.of_shape
+    tension = bench.found.of_shape
     assert tension.half_width <= 0.05 * tension.value
     assert tension.value == pytest.approx(TENSION, rel=0.02)
     collected = panel.calibration.work.collected
@@ -111,9 +111,9 @@ def test_collecting_again_replaces_the_frames(drive):
     bench.wait(lambda: len(bench.answer.found.samples.frames) == 9)
     new = bench.answer
     assert new.work.settings.deviations == 4.0
-    assert new.found.material.tension.value != old.found.material.tension.value
+    assert new.found.tension.value != old.found.tension.value
     shown = float(re.search(r"γ0 = (\S+) N/m", panel.verdict.text())[1])
-    assert shown == pytest.approx(new.found.material.tension.value, rel=0.01)
+    assert shown == pytest.approx(new.found.tension.value, rel=0.01)
     assert "Outdated" not in panel.verdict.text()
 
 

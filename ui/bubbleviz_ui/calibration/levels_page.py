@@ -100,9 +100,9 @@ class RectificationPage(Page):
         names = "λ", "gauge pressure", "gauge pressure from"
         shown: tuple[str | None, ...] = (None,) * len(names)
         if answer.found.complete:
-            material = answer.found.material
-            gauge, stretch = material.gauge, material.prestretch
-            text = f"not determined: {material.why_not}"
+            found = answer.found
+            gauge, stretch = found.gauge, found.prestretch
+            text = f"not determined: {found.why_not}"
             if stretch is not None:
                 text = "{}, 95 % interval {} … {}".format(*stretch.texts(3))
             pressure = self.units.gas_pressure.with_interval(gauge.value, gauge.half_width)

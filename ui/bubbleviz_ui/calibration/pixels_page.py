@@ -264,8 +264,8 @@ class TensionPage(Page):
             self.numbers.clear()
             self.numbers.set("γ0", unit.text(None))
             return
-        estimate = found.material
-        value = estimate.tension.value
+        surfaces, tension = found.surfaces, found.tension
+        value = tension.value
         self.view.show_image(
             "Local γ0",
             answer.local_tension,
@@ -274,15 +274,15 @@ class TensionPage(Page):
             (1.0 + SPREAD) * value,
         )
         show = self.numbers.set
-        show("γ0", unit.with_interval(value, estimate.tension.half_width))
-        show("95 % interval", unit.between(estimate.tension.low, estimate.tension.high))
-        for name, size in estimate.dimensions.items():
+        show("γ0", unit.with_interval(value, tension.half_width))
+        show("95 % interval", unit.between(tension.low, tension.high))
+        for name, size in surfaces.dimensions.items():
             text = units.length.with_interval(size.value, size.half_width)
             show(name.removesuffix("_m").replace("_", " "), text)
-        show("gauge pressure", units.gas_pressure.text(estimate.gauge.value))
-        more = unit.text(100.0 * estimate.per_pascal, signed=True)
+        show("gauge pressure", units.gas_pressure.text(found.gauge.value))
+        more = unit.text(100.0 * surfaces.tension_m.value, signed=True)
         show("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
-        for name, each in estimate.by_surface.items():
+        for name, each in found.by_surface.items():
             show(f"γ0 from the {name}", unit.text(each))
-        for name, sigma in estimate.parts.items():
+        for name, sigma in found.parts.items():
             show(f"σ of γ0 from {name.replace('_', ' ')}", unit.text(sigma))
