@@ -83,24 +83,24 @@ class Identification:
     @property
     def tension(self) -> Quantity:
         """γ0, N/m, of the chosen surface."""
-        shape, other = self.of_shape, self.surfaces.tension_m.value * self.gauge.half_width
+        shape, other = self.tension_by_shape, self.surfaces.tension_m.value * self.gauge.half_width
         low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
         ends = shape.value - low, shape.value + high
         return Quantity(shape.value, *ends, "shape and gauge pressure")
 
     @property
-    def of_shape(self) -> Quantity:
+    def tension_by_shape(self) -> Quantity:
         """γ0, N/m, with the error of the shape alone, as at an exact gauge pressure."""
         return self.surfaces.tension_m.times(self.gauge.value)
 
     @property
-    def parts(self) -> dict[str, float]:
+    def tension_parts(self) -> dict[str, float]:
         """Standard deviation of γ0 by every source: those of the shape, `gauge_pressure`, N/m."""
         shape = {n: self.gauge.value * part for n, part in self.surfaces.tension_parts_m.items()}
         return shape | {"gauge_pressure": self.surfaces.tension_m.value * self.gauge.sigma}
 
     @property
-    def by_surface(self) -> dict[SurfaceName, float]:
+    def tension_by_surface(self) -> dict[SurfaceName, float]:
         """γ0 of every surface, N/m."""
         every = self.surfaces.tension_by_surface_m.items()
         return {name: self.gauge.value * tension for name, tension in every}

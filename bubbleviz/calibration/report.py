@@ -164,8 +164,8 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
         | {"frames": statistics.frames, "effective_frames": statistics.effective_frames},
         "tension_n_per_m": asdict(found.tension),
-        "tension_parts_n_per_m": found.parts,
-        "tension_by_surface_n_per_m": found.by_surface,
+        "tension_parts_n_per_m": found.tension_parts,
+        "tension_by_surface_n_per_m": found.tension_by_surface,
         "tension_least_squares_n_per_m": found.least_squares_n_per_m,
         "tension_per_pascal_m": surfaces.tension_m.value,
         "validation": _validation(found),

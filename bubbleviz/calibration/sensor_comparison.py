@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.tension import Quantity
 from bubbleviz.errors import InputError
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Calibration, Sensor
 from bubbleviz.sensor_model import SensorModel
 
 QuantityKind = Literal[
@@ -55,26 +56,18 @@ class SensorComparison:
         measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
         models = SensorModel.of(old, intrinsics), new.model
         before, after = (_numbers(model, measured) for model in models)
-        known = old.calibration
-        intervals = {
-            "γ0": new.tension,
-            "λ": new.prestretch,
-            "sheet share": new.sheet_share,
-            "gauge pressure": new.gauge,
+        known = old.calibration or Calibration(pixels_file="")  # without intervals
+        intervals: dict[str, tuple[Quantity | None, tuple[float, float] | None]] = {
+            "γ0": (new.tension, known.tension_interval_n_per_m),
+            "λ": (new.prestretch, known.prestretch_interval),
+            "sheet share": (new.sheet_share, known.sheet_share_interval),
+            "gauge pressure": (new.gauge, known.gauge_interval_pa),
+            "height": (new.surfaces.dimensions["height_m"], None),
         }
-        names = list(intervals)
-        intervals["height"] = new.surfaces.dimensions["height_m"]
-        half = {name: each.half_width for name, each in intervals.items() if each}
-        old_half: dict[str, float] = {}
-        if known is not None:
-            ends = (
-                known.tension_interval_n_per_m,
-                known.prestretch_interval,
-                known.sheet_share_interval,
-                known.gauge_interval_pa,
-            )
-            pairs = zip(names, ends, strict=True)
-            old_half = {name: 0.5 * (each[1] - each[0]) for name, each in pairs if each}
+        half = {name: each.half_width for name, (each, _) in intervals.items() if each}
+        old_half = {
+            name: 0.5 * float(np.ptp(ends)) for name, (_, ends) in intervals.items() if ends
+        }
         rows = tuple(
             ComparisonRow(name, kind, value, after[name, kind], half.get(name), old_half.get(name))
             for (name, kind), value in before.items()

@@ -126,7 +126,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     value, least = found.tension.value, found.least_squares_n_per_m
     apart = abs(least - value)
-    if apart > max(_GOOD * value, found.of_shape.half_width):
+    if apart > max(_GOOD * value, found.tension_by_shape.half_width):
         out.append(
             f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
             f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
@@ -151,7 +151,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
-    part = max(found.parts, key=lambda name: found.parts[name])
+    part = max(found.tension_parts, key=lambda name: found.tension_parts[name])
     of_tension = _OF_TENSION[part].format(chamber=chamber_text)
     pressures = tuple(map(pressure, (gauge.value, *gauge.positive)))
     rows = [

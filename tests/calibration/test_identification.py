@@ -96,7 +96,7 @@ def test_mesh_keeps_its_rim_plane_and_shape(found):
 def test_tension_and_noise(twin, found):
     truth = balance_tension(twin.truth, GAUGE)  # bent most at the rim, which is hidden
     assert found.tension_n_per_m == pytest.approx(truth, rel=0.03)
-    by_shape = found.of_shape
+    by_shape = found.tension_by_shape
     assert by_shape.low < truth < by_shape.high and by_shape.half_width < 0.05 * truth
     assert found.surfaces.chosen == "free-form"
     assert found.sensor.pneumatics.gauge_pressure_pa == pytest.approx(GAUGE, abs=5.0)
@@ -110,7 +110,7 @@ def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path
     air = {"atmospheric_pressure_pa": ATMOSPHERE - 1500.0}
     sensor = changed(sensor, pneumatics=air)
     found = identify(twin, sensor, range(20), nodes=300)
-    by_shape, tension = found.of_shape, found.tension
+    by_shape, tension = found.tension_by_shape, found.tension
     assert by_shape.low > 1.2 * truth and tension.low < truth < tension.high
     write_sensor(found, tmp_path / "mine.toml")
     sensor = load_sensor(tmp_path / "mine.toml")

@@ -52,7 +52,7 @@ def test_held_out_residual_and_fits(press, found):
 @pytest.mark.long  # in short: of a sphere, in test_identify_command.py
 def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert found.surfaces.chosen == "free-form"
-    assert found.of_shape.half_width < 0.05 * found.tension_n_per_m
+    assert found.tension_by_shape.half_width < 0.05 * found.tension_n_per_m
     write_sensor(found, tmp_path / "half.toml")
     pipeline = Pipeline.of(load_sensor(tmp_path / "half.toml"), intrinsics=press[0].intrinsics)
     forces = [

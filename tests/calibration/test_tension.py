@@ -39,13 +39,13 @@ def test_interval_covers_the_true_tension(spheres):
     inside = [f.tension.low <= TRUTH <= f.tension.high for f in spheres]
     assert np.mean(inside) >= 0.9
     assert all(f.surfaces.chosen == "sphere" for f in spheres)
-    assert all(sigma >= 0.0 for f in spheres for sigma in f.parts.values())
+    assert all(sigma >= 0.0 for f in spheres for sigma in f.tension_parts.values())
 
 
 @pytest.mark.long  # in short: of made-up errors, below
 def test_interval_from_noise_alone_is_calibrated(spheres):
     """Errors divided by the standard deviation of the covariance have about unit spread."""
-    own = [np.hypot(f.parts["pixels"], f.parts["frames"]) for f in spheres]
+    own = [np.hypot(f.tension_parts["pixels"], f.tension_parts["frames"]) for f in spheres]
     scores = (np.array([f.tension_n_per_m for f in spheres]) - TRUTH) / own
     assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5
 

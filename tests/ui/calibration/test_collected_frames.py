@@ -41,7 +41,7 @@ def test_live_frames_are_collected_until_gamma0_is_precise(drive):
     bench.wait(lambda: not box.collector.active)
     bench.done()
     assert 10 <= len(bench.found.samples.frames) < 400
-    tension = bench.found.of_shape
+    tension = bench.found.tension_by_shape
     assert tension.half_width <= 0.05 * tension.value
     assert tension.value == pytest.approx(TENSION, rel=0.02)
     collected = panel.calibration.work.collected

@@ -118,4 +118,4 @@ def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantit
     nodes = sensor.membrane.nodes
     settings = Settings(last_step=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
     # more frames do not reduce the contribution of the gauge pressure
-    return Workbench(frames, sensor).work(settings, progress).of_shape
+    return Workbench(frames, sensor).work(settings, progress).tension_by_shape

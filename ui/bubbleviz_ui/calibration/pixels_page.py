@@ -282,7 +282,7 @@ class TensionPage(Page):
         show("gauge pressure", units.gas_pressure.text(found.gauge.value))
         more = unit.text(100.0 * surfaces.tension_m.value, signed=True)
         show("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
-        for name, each in found.by_surface.items():
+        for name, each in found.tension_by_surface.items():
             show(f"γ0 from the {name}", unit.text(each))
-        for name, sigma in found.parts.items():
+        for name, sigma in found.tension_parts.items():
             show(f"σ of γ0 from {name.replace('_', ' ')}", unit.text(sigma))
