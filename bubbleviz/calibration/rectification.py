@@ -13,7 +13,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import robust_sigma
 
 _TOLERANCE = 3.0  # standard deviations of a sample beyond the outermost levels
-_MIN_SPAN = 10.0  # standard deviations of a sample by which levels must differ
+_LARGEST_SPREAD = 0.1  # of the gains of a camera's pixels, as standard deviation
 
 
 def rectify(
@@ -25,7 +25,7 @@ def rectify(
     The bias stays that of the rest level, so that the untouched sensor shows no contact. Pixels
     without a measurement at every level are not used.
 
-    Raises InputError: images of different sizes, or levels too close to determine a slope.
+    Raises InputError: images of different sizes, or no pixel measured at every level.
     """
     if not levels:
         return found
@@ -74,38 +74,32 @@ def fit_lines(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Slope of true over measured range, and ranges (m) between which it is valid, (H, W) each.
 
-    Each level is weighted by its noise. Towards the rim levels differ little, so slopes are shrunk
-    towards 1 according to their standard error: the posterior mean under a prior whose spread is
-    that of the slopes of the better half of the pixels. NaN where unknown.
+    Measured ranges are fitted over modelled ones, which have little noise; each level is weighted
+    by its noise. Towards the rim, and where the membrane hardly moves, levels differ little: gains
+    are shrunk towards 1 according to their standard error, as the posterior mean under a prior
+    whose spread is that of the gains of the better half of the pixels. NaN where unknown, as of a
+    pixel that does not follow the membrane.
+
+    Raises InputError: no pixel was measured at every level.
     """
     nearest, farthest, noise = measured_m.min(axis=0), measured_m.max(axis=0), noise_m.max(axis=0)
-    _check_apart(farthest - nearest, noise)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        precision = frames[:, None, None] / noise_m**2
-        weights = precision / precision.sum(axis=0)
-        x, y = (np.sum(weights * image, axis=0) for image in (measured_m, modelled_m))
-        lever = np.sum(weights * (measured_m - x) ** 2, axis=0)
-        change = np.sum(weights * (measured_m - x) * (modelled_m - y), axis=0) / lever - 1.0
-        sigma = 1.0 / np.sqrt(lever * precision.sum(axis=0))
-        margin = _TOLERANCE * noise
-    known = np.isfinite(change)
-    better = known & (sigma <= np.median(sigma[known]))
-    spread = robust_sigma(change[better], center=0.0) ** 2 - float(np.mean(sigma[better] ** 2))
-    prior = max(spread, 0.0)
-    slope = 1.0 + change * prior / np.maximum(prior + sigma**2, 1e-300)
-    return slope, nearest - margin, farthest + margin
-
-
-def _check_apart(span_m: np.ndarray, noise_m: np.ndarray) -> None:
-    known = np.isfinite(span_m) & np.isfinite(noise_m)
+    precision = frames[:, None, None] / noise_m**2
+    total = precision.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        x, y = (np.sum(precision * image, axis=0) / total for image in (modelled_m, measured_m))
+        information = np.sum(precision * (modelled_m - x) ** 2, axis=0)
+        score = np.sum(precision * (modelled_m - x) * (measured_m - y), axis=0) - information
+    known = np.isfinite(score)
     if not known.any():
         raise InputError(
             "rectification: no pixel is valid at every level; record the levels with the membrane "
             "in view"
         )
-    span, needed = float(np.median(span_m[known])), _MIN_SPAN * float(np.median(noise_m[known]))
-    if span < needed:
-        raise InputError(
-            f"rectification: the membrane moves only {1e3 * span:.2g} mm between the levels; "
-            f"inflate them at least {1e3 * needed:.2g} mm apart, which the noise requires"
-        )
+    variance = 1.0 / np.maximum(information, 1.0)  # a standard error of 1 says nothing
+    better = known & (variance <= np.median(variance[known]))
+    spread = robust_sigma((score * variance)[better], center=0.0) ** 2 - variance[better].mean()
+    prior = np.clip(spread, 0.0, _LARGEST_SPREAD**2)
+    gain = 1.0 + score * prior / (1.0 + information * prior)
+    slope = 1.0 / np.where(np.abs(gain - 1.0) < 5.0 * _LARGEST_SPREAD, gain, np.nan)
+    margin = _TOLERANCE * noise
+    return slope, nearest - margin, farthest + margin
