@@ -81,8 +81,9 @@ def tile_depths(depth: np.ndarray) -> np.ndarray:
     As robust to false returns as the median, without its quantisation.
     """
     rows, columns = (side // _TILE_PX * _TILE_PX for side in depth.shape)
-    blocks = depth[:rows, :columns].reshape(rows // _TILE_PX, _TILE_PX, -1, _TILE_PX)
-    samples = np.sort(blocks.transpose(0, 2, 1, 3).reshape(-1, _TILE_PX**2), axis=1)
+    tiles = rows // _TILE_PX, _TILE_PX, columns // _TILE_PX, _TILE_PX
+    blocks = depth[:rows, :columns].reshape(tiles).transpose(0, 2, 1, 3)
+    samples = np.sort(blocks.reshape(-1, _TILE_PX**2), axis=1)
     count = np.isfinite(samples).sum(axis=1)[:, None]
     order = np.arange(_TILE_PX**2)
     middle = (order >= count // 4) & (order < count - count // 4)

@@ -77,6 +77,11 @@ def test_the_depth_of_a_tile_is_the_mean_of_its_middle_half():
     assert np.isfinite(found[0]) and np.isnan(found[4])
 
 
+@pytest.mark.parametrize("shape", [(3, 4), (40, 7), (7, 40)])
+def test_an_image_smaller_than_a_tile_has_none(shape):
+    assert tile_depths(np.full(shape, 0.1)).shape == (0,)
+
+
 def test_held_press_is_found_near_the_highest_gas_pressure():
     """The twin's press grows over eight frames: seven eighths of it are not yet nine tenths."""
     twin = make_twin()
