@@ -41,11 +41,17 @@ class _Seen(NamedTuple):
 class StillFrames:
     """Frames of a recording, with the mean of the images around that show the same.
 
-    Without `source`: frames of a stream, with the mean of those that came before.
+    Without `source`: frames of a stream, with the mean of those given before.
     """
 
-    def __init__(self, pipeline: Pipeline, source: FrameSource | None = None) -> None:
-        self._pipeline, self._source = pipeline, source
+    def __init__(
+        self,
+        pipeline: Pipeline,
+        source: FrameSource | None = None,
+        *,
+        both_sides: bool = True,  # False: only of those before, as of a live stream
+    ) -> None:
+        self._pipeline, self._source, self._both_sides = pipeline, source, both_sides
         self._change = ImageChange(pipeline.estimator.observer)
         self._seen: dict[int, _Seen] = {}  # frames read last
 
@@ -74,7 +80,8 @@ class StillFrames:
             earlier = [k for k, each in seen if k < index and each.time_s < frame.time_s]
             return (earlier[:_REACH],)
         before = range(index - 1, max(index - _REACH, 0) - 1, -1)
-        return before, range(index + 1, min(index + _REACH + 1, len(self._source)))
+        after = range(index + 1, min(index + _REACH + 1, len(self._source)))
+        return (before, after) if self._both_sides else (before,)
 
     def _agreeing(self, own: Measured, side: Iterable[int]) -> Iterator[_Seen]:
         """Frames that show the same as one, up to the first that does not."""
@@ -123,5 +130,5 @@ def _mean(own: np.ndarray, around: list[np.ndarray], weights: np.ndarray) -> np.
         some = size[::_STRIDE, ::_STRIDE]
         sigma = np.quantile(some[np.isfinite(some)], _ONE_SIGMA)
         near = size <= _OUTLIER * sigma  # not where either is NaN
-        np.add(mean, weight * change, out=mean, where=near)
+        mean += weight * np.where(near, change, np.float32(0.0))
     return mean

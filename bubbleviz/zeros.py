@@ -268,9 +268,15 @@ class Zeros(NamedTuple):
     still: StillFrames | None = None  # None: each frame by its own image
 
     @classmethod
-    def of_stream(cls, gas: PressureZero | None, pipeline: Pipeline) -> Zeros:
+    def of_stream(
+        cls,
+        gas: PressureZero | None,
+        pipeline: Pipeline,
+        kept: FrameSource | None = None,  # its last frames, by number; None: as given one by one
+    ) -> Zeros:
         """Zeros of a stream, which are updated by its frames (`follow`)."""
-        return cls(gas, ImageZero(), StillFrames(pipeline) if _knows_errors(pipeline) else None)
+        still = StillFrames(pipeline, kept, both_sides=False) if _knows_errors(pipeline) else None
+        return cls(gas, ImageZero(), still)
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, known errors and mean of the depth image."""

@@ -9,6 +9,7 @@ from threading import Event, Thread
 
 import numpy as np
 
+from bubbleviz.averaging import StillFrames
 from bubbleviz.camera import Intrinsics
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import FrameOptions, Pipeline, Product
@@ -16,6 +17,7 @@ from bubbleviz.processes.worker_process import Outcome, WorkerProcess
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from bubbleviz.zeros import Zeros
 
 DEPTH_PRODUCTS: frozenset[Product] = frozenset(
     {"estimate", "patch", "pixel_mask", "cloud", "residual"}
@@ -30,17 +32,19 @@ instead of 59 ms (99 of 100), at the same rate of solved frames."""
 class PipelineProcess:
     """Solves frames of a live source in a worker process, independent of this process's threads.
 
-    The worker starts with the first frame. Frames are solved locally until it is ready, whenever a
-    product needs more than depth and gas pressure, and permanently once it has died or hung.
+    Each is averaged there with those before that show the same. The worker starts with the first
+    frame. Frames are solved locally until it is ready, whenever a product needs more than depth and
+    gas pressure, and permanently once it has died or hung.
     """
 
     def __init__(
         self,
         pipeline: Pipeline,  # the local one; the worker builds its own, with its own warm start
+        still: StillFrames | None = None,  # averages the frames that are solved locally
         timeout_s: float = TIMEOUT_S,  # for one frame, before the worker is killed
     ) -> None:
         self.lost = ""  # reason if the worker ended unexpectedly; else empty
-        self._pipeline = pipeline
+        self._pipeline, self._still = pipeline, still
         self._timeout_s = timeout_s
         self._worker = WorkerProcess()
         self._ready = self._started = False
@@ -61,15 +65,21 @@ class PipelineProcess:
         if not self._started and not self._closed.is_set():
             self._start(products)
         if not self._is_ready() or not products <= DEPTH_PRODUCTS:
-            return self._pipeline.process(frame, products, options)
-        used_m = frame.steady_depth_m
-        small = replace(frame, depth_m=used_m, mean_depth_m=None, intrinsics=None, find_colour=None)
+            return self._process_here(frame, products, options)
+        small = replace(frame, intrinsics=None, find_colour=None)
         outcome = self._call(small, products, options)
         if outcome.kind != "returned":
-            return self._pipeline.process(frame, products, options)  # raises the same exception
+            return self._process_here(frame, products, options)  # raises the same exception
         result: Result = outcome.value
         self._pipeline.counts.update(result.times_ms.keys())
+        frame = replace(frame, images=result.frame.images)
         return replace(result, frame=self._pipeline.paired(frame))
+
+    def _process_here(
+        self, frame: Frame, products: frozenset[Product], options: FrameOptions | None
+    ) -> Result:
+        frame = frame if self._still is None else self._still.applied(frame)
+        return self._pipeline.process(frame, products, options)
 
     def end(self) -> None:
         """Kill the worker, from any thread; later frames are solved locally."""
@@ -133,17 +143,23 @@ class PipelineProcess:
 
 def _prepared(
     sensor: Sensor, intrinsics: Intrinsics, options: EstimatorOptions, products: frozenset[Product]
-) -> Pipeline:
+) -> tuple[Pipeline, Zeros]:
     if hasattr(os, "nice"):  # not on Windows
         os.nice(_NICENESS)
     pipeline = Pipeline.of(sensor, intrinsics, options)
     pipeline.prepare(products)
-    return pipeline
+    return pipeline, Zeros.of_stream(None, pipeline)
 
 
 def _solved(
-    pipeline: Pipeline, frame: Frame, products: frozenset[Product], options: FrameOptions | None
+    prepared: tuple[Pipeline, Zeros],
+    frame: Frame,
+    products: frozenset[Product],
+    options: FrameOptions | None,
 ) -> Result:
-    """Products of a frame, without its image."""
+    """Products of a frame, without its images."""
+    pipeline, zeros = prepared
+    frame = zeros.applied(frame)
     result = pipeline.process(frame, products, options)
-    return replace(result, frame=replace(frame, depth_m=np.zeros((0, 0), np.float32)))
+    depth_m = np.zeros((0, 0), np.float32)
+    return replace(result, frame=replace(frame, depth_m=depth_m, mean_depth_m=None))

@@ -182,6 +182,19 @@ def test_a_frame_has_the_same_mean_however_it_was_reached():
         np.testing.assert_array_equal(one.steady_depth_m, other.steady_depth_m)
 
 
+def test_a_live_frame_that_is_kept_has_the_mean_it_was_shown_with():
+    frames = noisy((6.0,) * 13)
+    shown, still = (
+        streamed(frames),
+        StillFrames(Pipeline.of(sensor()), Recorded(frames), both_sides=False),
+    )
+    assert max(images(shown)) > 3
+    for k in (7, 12, 3):
+        kept = still.applied(frames[k])
+        assert kept.images == shown[k].images
+        np.testing.assert_array_equal(kept.steady_depth_m, shown[k].steady_depth_m)
+
+
 def test_a_damaged_frame_ends_the_mean_of_those_around():
     found = averaged(Recorded(noisy((6.0,) * 13), damaged={8}), order=range(8))
     assert 3 < max(images(found)) <= 8

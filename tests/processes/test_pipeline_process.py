@@ -15,6 +15,7 @@ from bubbleviz.pipeline import FrameOptions, Pipeline
 from bubbleviz.processes import DEPTH_PRODUCTS, PipelineProcess
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor import load_sensor
+from bubbleviz.zeros import Zeros
 
 OPTIONS = FrameOptions(cloud_points=500)
 
@@ -42,7 +43,7 @@ def started(process, frame):
 def process(request, pipeline, frames):
     """One that has solved the first frame."""
     timeout_s = getattr(request, "param", 60.0)  # no solve takes longer, whatever else runs
-    with closing(PipelineProcess(pipeline, timeout_s)) as process:
+    with closing(PipelineProcess(pipeline, timeout_s=timeout_s)) as process:
         started(process, frames[0])
         yield process
 
@@ -75,7 +76,7 @@ def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sen
             process.process(frame, DEPTH_PRODUCTS, OPTIONS),
             here.process(frame, DEPTH_PRODUCTS, OPTIONS),
         )
-        assert process.lost == "" and a.frame is frame
+        assert process.lost == "" and a.frame.depth_m is frame.depth_m
         assert set(a.times_ms) == set(b.times_ms)
         assert a.estimate.status == b.estimate.status
         for one, two in (
@@ -105,6 +106,23 @@ def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sen
     assert process.pid is not None and process.lost == ""
 
 
+def test_an_object_at_rest_is_averaged_in_the_process_as_here(process, sensor):
+    source = small_source(sensor, [0.042] * 8)
+    here = Pipeline.of(load_sensor(sensor))
+    zeros = Zeros.of_stream(None, here)
+    for k in range(len(source)):
+        frame = replace(source[k], index=k + 10)
+        there = process.process(frame, DEPTH_PRODUCTS, OPTIONS)
+        averaged = zeros.applied(frame)
+        assert there.frame.images == averaged.images and there.frame.depth_m is frame.depth_m
+    assert averaged.images > 3 and process.lost == ""
+    here.restart()
+    expected = here.process(averaged, DEPTH_PRODUCTS, OPTIONS).estimate.force_n
+    np.testing.assert_allclose(there.estimate.force_n, expected, rtol=0.01)
+    alone = here.process(frame, DEPTH_PRODUCTS, OPTIONS).estimate.force_n
+    assert np.linalg.norm(there.estimate.force_n - expected) < np.linalg.norm(alone - expected)
+
+
 @pytest.mark.parametrize("process", [1.0], indirect=True, ids=["1 s"])
 @pytest.mark.parametrize(
     ("how", "words"),
@@ -122,7 +140,7 @@ def test_crashed_or_hanging_process_loses_no_frame(process, frames, how, words):
     assert process.lost == ""
     for frame in frames[2:]:
         result = process.process(frame, DEPTH_PRODUCTS, OPTIONS)
-        assert result.estimate is not None and result.frame is frame
+        assert result.estimate is not None and result.frame.depth_m is frame.depth_m
         assert process.lost == words
     assert process.pid is None and gone(pid)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from bubbleviz.averaging import StillFrames
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
 from bubbleviz.errors import InputError
@@ -221,7 +222,9 @@ class OpenSource:
         if self.opened is NO_SOURCE:
             return Result(frame)
         if stream is not None:
-            measured, frame = frame, self.zeros.zeroed(frame, pipeline)
+            # the solver process averages its frames itself
+            zeros = self.zeros if solver_process is None else self.zeros._replace(still=None)
+            measured, frame = frame, zeros.zeroed(frame, pipeline)
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
         if self.has_colour:
@@ -447,7 +450,7 @@ class Solver:
             bias = wrench_bias(source, pipeline)
             current = OpenSource(request.source, source, pipeline, settings, bias)
             if stream is not None:
-                current = replace(current, zeros=Zeros.of_stream(stream.zero, pipeline))
+                current = replace(current, zeros=Zeros.of_stream(stream.zero, pipeline, stream))
             products = current.shear.products(source, pipeline, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
             measured_pa = frame.gas_pressure_pa
@@ -465,7 +468,8 @@ class Solver:
                 raise Cancelled from None
             raise
         before, self._checked = self.current, None
-        self.current = current = replace(current, solver_process=_solver_process(stream, pipeline))
+        process = _solver_process(stream, pipeline, current.zeros.still)
+        self.current = current = replace(current, solver_process=process)
         if before is not None:
             before.close()
         numbers, result = current.numbers(result), current.diagnose(result, request.demand)
@@ -543,14 +547,16 @@ def _numbers(
     return current.numbers(result)
 
 
-def _solver_process(stream: LiveFrames | None, pipeline: Pipeline) -> PipelineProcess | None:
+def _solver_process(
+    stream: LiveFrames | None, pipeline: Pipeline, still: StillFrames | None
+) -> PipelineProcess | None:
     """A process for the frames of one of two cameras; a single one can use the solver thread.
 
     A simulation needs none, as it has no real-time images.
     """
     if stream is None or stream.simulated or not stream.paired:
         return None
-    process = PipelineProcess(pipeline)
+    process = PipelineProcess(pipeline, still)
     stream.at_end(process.end)
     return process
 
