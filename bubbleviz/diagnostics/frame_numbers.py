@@ -43,7 +43,7 @@ class ShearNumbers:
 
     @classmethod
     def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
-        """Values of a frame; tangential ones are unknown from depth alone."""
+        """Values of a frame; displacement and slip are unknown from depth alone."""
         along = traction.normal_force_n.sum(axis=0)
         size, force = float(np.linalg.norm(along)), traction.force_n
         if traction.status == "no_contact":
@@ -53,18 +53,22 @@ class ShearNumbers:
         n, covariance = along / size, traction.wrench_covariance
         total = _along(force, _unit(force), covariance[:3, :3])
         normal = _along(force, n, covariance[:3, :3])
-        if traction.status == "depth_alone":
+        if not traction.tangential_force_n.any():  # friction was not estimated
             return cls(total, normal)
         across = force - normal[0] * n
         tangential = _along(force, _unit(across), covariance[:3, :3])
+        direction = _direction(across, covariance[:3, :3])
+        torque = _along(traction.torque_nm, n, covariance[3:, 3:])
+        if traction.status == "depth_alone":
+            return cls(total, normal, tangential, direction, torque)
         touched = traction.nodal_force_n.any(axis=1)
         moved = np.linalg.norm(traction.tangential_displacement_m[touched], axis=1)
         return cls(
             total,
             normal,
             tangential,
-            _direction(across, covariance[:3, :3]),
-            _along(traction.torque_nm, n, covariance[3:, 3:]),
+            direction,
+            torque,
             (float(moved.max()), HALF_95 * traction.displacement_sigma_m),
             UNKNOWN if slip is None else (slip.share, HALF_95 * slip.share_sigma),
         )
@@ -79,9 +83,10 @@ class ShearEllipse:
 
     @classmethod
     def of(cls, traction: Traction) -> ShearEllipse | None:
-        """Ellipse of a frame; None if friction is unknown."""
+        """Ellipse of a frame; None without friction."""
         along = traction.normal_force_n.sum(axis=0)
-        if traction.status != "ok" or not along.any():
+        known = traction.status in ("ok", "depth_alone") and traction.tangential_force_n.any()
+        if not known or not along.any():
             return None
         n = _unit(along)
         across = (np.eye(3) - np.outer(n, n))[:2]

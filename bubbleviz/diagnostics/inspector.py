@@ -30,10 +30,13 @@ class KappaCurve:
 
     kappa: np.ndarray  # (k,), multiples of the mean contact pressure, rising
     area_m2: np.ndarray  # (k,), area of the patch on the reference surface
-    # (k − 1,), area whose pressure lies between one threshold and the next
-    histogram_m2: np.ndarray
     # (k,), intersection over union of the patch's pixels with the true ones; None: no ground truth
     iou: np.ndarray | None = None
+
+    @property
+    def histogram_m2(self) -> np.ndarray:
+        """Area (k − 1,) whose pressure lies between one threshold and the next."""
+        return -np.diff(self.area_m2)
 
     def area_at(self, kappa: float) -> float:
         """Area at a threshold, m², interpolated in log κ."""
@@ -55,10 +58,7 @@ def kappa_curve(
     iou = None
     if truth is not None and view is not None:
         iou = _ious(view, estimate, truth, levels)
-    histogram = np.zeros(len(KAPPAS) - 1)
-    if pressure.any():
-        histogram, _ = np.histogram(pressure, levels, weights=mesh.areas)
-    return KappaCurve(KAPPAS, areas, histogram, iou)
+    return KappaCurve(KAPPAS, areas, iou)
 
 
 def _ious(

@@ -51,6 +51,9 @@ def _of(
     areas = np.linalg.norm(vectors, axis=1, keepdims=True)
     n, moved = vectors / areas, x - bubble.mesh.nodes
     normal = np.einsum("ij,ij->i", force, n)[:, None] * n
+    tangential = force - normal
+    if estimate.friction_n is None or not estimate.friction_n.any():
+        tangential = np.zeros_like(force)  # not by rounding
     along = np.einsum("ij,ij->i", moved, n)[:, None] * n
     center, covariance = _center(x, normal), _ALL_UNKNOWN
     fit = estimate.flow
@@ -61,7 +64,7 @@ def _of(
         status,
         force,
         normal,
-        force - normal,
+        tangential,
         force / areas,
         x,
         moved - along,

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from small_press import small_source
 
@@ -30,3 +31,19 @@ def test_gas_law_gives_the_pressure_of_a_press(sensor):
     assert numbers.status == "ok"
     # a mesh of 200 nodes seen by 56×43 pixels misses some of the volume
     assert 0.4 < numbers.gas_law_pa / numbers.gas_measured_pa < 1.3
+
+
+def test_the_area_of_a_small_contact_is_in_the_histogram_of_its_pressure(sensor):
+    pipeline = Pipeline.of(load_sensor(sensor))
+    frame = small_source(sensor, heights=(0.06,))[0]
+    result = pipeline.process(frame, frozenset({"estimate"}))
+    mesh = pipeline.mesh
+    top, pressure = np.argmax(mesh.nodes[:, 2]), np.zeros(len(mesh.nodes))
+    pressure[top] = 1e4  # far above its mean; it falls linearly to the nodes around
+    pressed = replace(result, estimate=replace(result.estimate, contact_pressure_pa=pressure))
+    curve = pipeline.diagnose(pressed, frozenset({"kappa_curve"})).inspection.kappa_curve
+    around = mesh.facet_areas[(mesh.triangles == top).any(axis=1)].sum()
+    share = curve.kappa * mesh.areas[top] / mesh.areas.sum()  # of the peak
+    above = around * np.clip(1.0 - share, 0.0, None) ** 2
+    np.testing.assert_allclose(curve.histogram_m2, above[:-1] - above[1:], atol=1e-12)
+    assert (curve.histogram_m2 > 0.0).sum() > 20

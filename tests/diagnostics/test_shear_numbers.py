@@ -11,6 +11,7 @@ from bubbleviz.diagnostics import ShearEllipse, ShearNumbers
 from bubbleviz.result import Slip, Traction
 
 NODES = 5
+UNKNOWN = (np.nan, np.nan)
 HALF = 1.96 * 0.05
 """Of the 95 % interval at σ = 0.05."""
 
@@ -47,6 +48,7 @@ def test_torque_is_about_the_normal_into_the_sensor():
     twisted = traction(across=(0.0, 0.0, 0.0))
     twisted.nodal_force_n[0, 1] = 0.5  # at x = 10 mm
     twisted.nodal_force_n[1, 1] = -0.5
+    twisted.tangential_force_n[:2] = twisted.nodal_force_n[:2] * (0.0, 1.0, 0.0)
     # right-handed about +z by 10 N·mm, so about −z by minus that
     assert ShearNumbers.of(twisted).torque_nm == pytest.approx((-0.01, 1.96e-4))
 
@@ -56,11 +58,16 @@ def test_no_direction_is_shown_if_its_interval_is_too_wide():
     assert np.isnan(found.direction_deg).all() and found.tangential_n[0] == pytest.approx(0.1)
 
 
-def test_from_depth_alone_no_tangential_force_is_shown():
-    found = ShearNumbers.of(traction("depth_alone"))
-    assert found.normal_n[0] == pytest.approx(3.0)
-    for measure in (found.tangential_n, found.direction_deg, found.torque_nm):
+def test_from_depth_alone_forces_are_known_but_no_displacement_or_slip():
+    found, with_texture = ShearNumbers.of(traction("depth_alone")), ShearNumbers.of(traction())
+    unknown = {"displacement_m": UNKNOWN, "slip_share": UNKNOWN}
+    assert repr(found) == repr(replace(with_texture, **unknown))
+    assert ShearEllipse.of(traction("depth_alone")) is not None
+    frictionless = replace(traction("depth_alone"), tangential_force_n=np.zeros((NODES, 3)))
+    alone = ShearNumbers.of(frictionless)
+    for measure in (alone.tangential_n, alone.direction_deg, alone.torque_nm):
         assert np.isnan(measure).all()
+    assert ShearEllipse.of(frictionless) is None
     assert np.isnan(ShearNumbers.of(traction("not_converged")).force_n).all()
     assert ShearNumbers.of(traction("no_contact")).force_n[0] == 0.0
 
@@ -87,4 +94,3 @@ def test_ellipse_contains_95_percent_of_the_tangential_forces():
     drawn = whole.force_n + np.random.default_rng(0).standard_normal((20_000, 3)) @ root.T
     inside = Path(ellipse.outline_n).contains_points(drawn[:, :2])  # the normal is along z
     assert inside.mean() == pytest.approx(0.95, abs=0.01)
-    assert ShearEllipse.of(traction("depth_alone")) is None

@@ -87,7 +87,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         "traction": LayerKind(
             "Traction",
             "Contact traction at the nodes in contact:\n"
-            "normal orange, tangential blue (only with colour images)",
+            "normal orange, tangential blue",
             ESTIMATE | {"traction"},
             by_default=False,
         ),

@@ -396,10 +396,8 @@ class TractionLayer(Layer):
         scale = LONGEST * self.canvas.surface.height_m / picture.ranges.pressure_pa
         normal, along = (scale * part[touched] for part in traction.parts_pa)
         nodes, normals = shape.nodes_m[touched], shape.normals[touched]
-        if traction.status == "depth_alone":
-            along = along[:0]
         self._normal.draw(_arrows(nodes - normal, normal, np.roll(normals, 1, axis=1)))
-        self._along.draw(_arrows(nodes[: len(along)], along, normals[: len(along)]))
+        self._along.draw(_arrows(nodes, along, normals))
 
 
 def _arrows(starts: np.ndarray, ways: np.ndarray, across: np.ndarray) -> np.ndarray:
