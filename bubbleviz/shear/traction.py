@@ -8,7 +8,7 @@ from bubbleviz.camera import FlowField
 from bubbleviz.inverse import RubberBubble
 from bubbleviz.result import Estimate, Traction, TractionStatus, wrench_about
 
-NO_FLOW = "no optical flow: the frame has no colour image, or there are no contact-free ones yet"
+NO_FLOW = "the frame has no colour image, or there are no contact-free ones yet"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
 NO_FRICTION = "the expected coefficient of friction is 0"
 

@@ -113,7 +113,7 @@ def test_without_colour_depth_alone_is_reported():
             == "Depth alone: no colour images of this sensor in a known encoding"
         )
     assert result.traction.status == "depth_alone"
-    assert shear_line(result).startswith("depth alone: no optical flow")
+    assert shear_line(result).startswith("depth alone: the frame has no colour")
     summary.reference = watcher.solver.texture.words
     assert summary.status == {"no_contact": 1, "depth_alone": 2}
     assert summary.highest is None

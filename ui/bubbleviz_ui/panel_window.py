@@ -445,7 +445,7 @@ class PanelWindow(QMainWindow):
             facts = self.state.facts
             stays = "" if facts is None or facts.is_empty else " The current source stays open."
             message, topic = f"{message.rstrip('.')}.{stays}", OPENING
-        elif not (failed.warning or (self.state.facts is not None and self.state.facts.grows)):
+        elif not (failed.warning or self.state.grows):
             self.state.set_playing(False)
         kind: MessageKind = "warning" if failed.warning else "error"
         self.messages.add(kind, message, failed.details, topic=topic)

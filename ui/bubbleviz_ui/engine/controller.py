@@ -152,7 +152,7 @@ class Controller(QObject):
     @property
     def cold_solved(self) -> bool:
         """Whether no cold solve of the shown frame is due."""
-        return self._advancing or self.client.result is None or self.client.cold_solved
+        return self.state.advancing or self.client.result is None or self.client.cold_solved
 
     @property
     def dropped(self) -> int:
@@ -204,7 +204,7 @@ class Controller(QObject):
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
         """Measure two settings, or none, on the frame at the cursor while the solver is idle."""
-        client, index, cold = self.client, self.state.frame, not self._advancing
+        client, index, cold = self.client, self.state.frame, not self.state.advancing
         function = partial(client.solver.compare, index, settings, cold=cold)
         client.worker.submit(function, partial(self.compared.emit, settings), key="compare")
 
@@ -235,7 +235,7 @@ class Controller(QObject):
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
         self._cold_solve_timer.stop()  # until the next frame is shown
-        if not (by_playback and self._grows):
+        if not (by_playback and self.state.grows):
             self._request_frame()
 
     def _on_playing(self, playing: bool) -> None:
@@ -273,21 +273,12 @@ class Controller(QObject):
     # -- requests -----------------------------------------------------------------------------
 
     @property
-    def _advancing(self) -> bool:
-        """Whether the frame changes by playback or a live source."""
-        return self.state.playing and not self.state.frozen
-
-    @property
     def _pose_demand(self) -> Demand:
         """Demand of the visible layers and panels, and the pose."""
         demand = Demand.of(self.state.settings)
         return replace(
             demand, products=demand.products | PATCH | pose_products(self.state.settings)
         )
-
-    @property
-    def _grows(self) -> bool:
-        return self.state.facts is not None and self.state.facts.grows
 
     def _request_frame(self) -> None:
         """Request the frame at the cursor, unless another source is being opened."""
@@ -298,7 +289,7 @@ class Controller(QObject):
     def _request_newest(self) -> None:
         """Request the newest frame of a live source, unless paused or frozen."""
         state = self.state
-        if self._grows and state.playing and not state.frozen:
+        if state.grows and state.advancing:
             self.client.request_newest(Demand.of(state.settings))
 
     # -- answers ------------------------------------------------------------------------------
@@ -365,7 +356,7 @@ class Controller(QObject):
         seen = shown is not None and shown.frame.index == result.frame.index
         if seen:
             self.state.shown_frame = result.frame.index
-            self.state.final = self._grows or self.client.cold_solved
+            self.state.final = self.state.grows or self.client.cold_solved
         self.state.history_changed.emit()
         if seen:
             self.shown.emit(shown)

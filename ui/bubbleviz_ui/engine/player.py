@@ -119,9 +119,7 @@ class Player(QObject):
 
     def _on_playing(self, playing: bool) -> None:
         self._start()
-        facts = self._state.facts
-        grows = facts is not None and facts.grows
-        self._timer.start() if playing and not grows else self._timer.stop()
+        self._timer.start() if playing and not self._state.grows else self._timer.stop()
 
     def _make_clock(self) -> None:
         """Create the clock for another source or range."""

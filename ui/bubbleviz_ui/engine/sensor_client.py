@@ -208,7 +208,7 @@ class SensorClient(QObject):
     def _due(self, demand: Demand) -> Demand:
         """The demand reduced for playback: fewer points, and images at a lower rate."""
         now = time.perf_counter()
-        if self._state.playing and not self._state.frozen:
+        if self._state.advancing:
             demand = demand.thinned(self._state.cloud_decimation)
             if now - self._imaged_s < IMAGES_EVERY_S:
                 return demand.without_images()

@@ -259,8 +259,7 @@ class LiveController(QObject):
 
     def _record_marker(self, frame: int) -> None:
         """Write a marker of the timeline to the recording, at the frame's arrival time."""
-        facts = self.state.facts
-        if facts is not None and facts.grows and self.run is not None:
+        if self.state.grows and self.run is not None:
             at_ns = self.run.frames[self._pair.selected].arrival_ns(frame)
             self.recording.mark(f"marker at frame {frame}", at_ns)
 

@@ -159,16 +159,12 @@ class SensorPair(QObject):
         return Demand.of(replace(self._state.settings, panels=frozenset()))
 
     @property
-    def _playing(self) -> bool:
-        return self._state.playing and not self._state.frozen
-
-    @property
     def _follows(self) -> bool:
         """Whether the second sensor is live and shows its newest frame."""
         grows = (
             self.second is not None and self.second.facts is not None and self.second.facts.grows
         )
-        return grows and self._playing
+        return grows and self._state.advancing
 
     def _request_frame(self) -> None:
         """Request the newest frame, or of a recording and while paused the one of the same time."""
@@ -222,7 +218,7 @@ class SensorPair(QObject):
     @property
     def _selected_silent(self) -> bool:
         """Whether no picture of the selected sensor is expected soon."""
-        return not self._playing or time.perf_counter() - self._shown_s > TIMEOUT_S
+        return not self._state.advancing or time.perf_counter() - self._shown_s > TIMEOUT_S
 
     def follow_if_alone(self) -> None:
         """Request frames of the second sensor while the selected one sends nothing."""

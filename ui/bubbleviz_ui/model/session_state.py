@@ -73,9 +73,19 @@ class SessionState(QObject):
         return "" if self.facts is None or self.facts.is_empty else self.facts.title
 
     @property
+    def grows(self) -> bool:
+        """Whether the source is live, and frames are added."""
+        return self.facts is not None and self.facts.grows
+
+    @property
+    def advancing(self) -> bool:
+        """Whether the frame changes by playback or a live source."""
+        return self.playing and not self.frozen
+
+    @property
     def playhead(self) -> int:
         """Frame to mark on the timeline: while playing the frame drawn, else the cursor."""
-        return self.shown_frame if self.playing and not self.frozen else self.frame
+        return self.shown_frame if self.advancing else self.frame
 
     def seek(self, index: int, *, by_playback: bool = False) -> None:
         """Move the cursor, clamped to the recording; freezes the view of a live source."""

@@ -24,7 +24,7 @@ from bubbleviz_ui.shell.dock import Steady, fill, tool_button
 
 PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
-"""Period of timeline repaints for new numbers during playback."""
+"""Period of timeline repaints for new numbers during playback, and for new frames at its end."""
 SECOND_STEPS = {
     -1.0: ("−1", "Ctrl+←"),
     -0.1: ("−0.1", "Shift+←"),
@@ -151,7 +151,8 @@ class PlaybackPanel(QWidget):
 
     def show_frame(self) -> None:
         """Show the current frame; during playback the one drawn."""
-        self.timeline.update()
+        at_end = self._state.grows and self._state.advancing
+        self._repaint.request() if at_end else self.timeline.update()
         self.mark.setChecked(self._state.playhead in self._state.markers)
         self.readout.setText(self._text(self._state.playhead))
 
