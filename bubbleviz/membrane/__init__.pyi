@@ -77,6 +77,7 @@ from .sparse_factor import (
     Factor as Factor,
     Factoriser as Factoriser,
     NodeBlocks as NodeBlocks,
+    condensed as condensed,
     symmetric_lu as symmetric_lu,
 )
 from .stiffness import (

@@ -35,6 +35,35 @@ def symmetric_lu(
     )
 
 
+def elimination_order(pattern: sparse.csc_array) -> np.ndarray:
+    """Order (n,) of the rows of a symmetric pattern of 3×3 blocks that fills little."""
+    nodes = pattern[::3][:, ::3].astype(bool).astype(float)
+    diagonal = sparse.diags_array(np.full(nodes.shape[0], float(pattern.shape[0])))
+    order = np.argsort(symmetric_lu((nodes + diagonal).tocsc()).perm_c)
+    return (3 * order[:, None] + np.arange(3)).ravel()
+
+
+def condensed(
+    matrix: sparse.csc_array,  # (n, n), symmetric, of 3×3 blocks
+    vector: np.ndarray,  # (n,)
+    kept: np.ndarray,  # (k,) int, rows; not all
+) -> np.ndarray:
+    """Schur complement (1 + k, 1 + k) of [[0, vᵀ], [v, K]] onto its first row and the kept ones.
+
+    It is the product of the ends of the factors L and U if these rows are eliminated last. SuperLU
+    does not put others between them, as the first one is coupled to every other row.
+    """
+    size = len(vector)
+    free = np.setdiff1d(np.arange(size), kept)
+    free = free[elimination_order(matrix[free][:, free])]
+    column = sparse.csc_array((vector, np.arange(size), [0, size]), shape=(size, 1))
+    corner = sparse.csc_array(([0.0], [0], [0, 1]), shape=(1, 1))
+    both = sparse.block_array([[matrix, column], [column.T.tocsc(), corner]], format="csc")
+    order, first = np.concatenate([free, [size], kept]), len(free)
+    lu = symmetric_lu(sparse.csc_array(both[order][:, order]), "NATURAL")
+    return np.asarray((lu.L[first:, first:] @ lu.U[first:, first:]).toarray())
+
+
 class Factoriser:
     """Factorises matrices of one symmetric pattern of 3×3 blocks (one a node).
 
@@ -50,13 +79,9 @@ class Factoriser:
     """
 
     def __init__(self, pattern: sparse.csc_array, rows: np.ndarray | None = None) -> None:
-        size = pattern.shape[0]
         data = np.arange(1.0, pattern.nnz + 1.0)
-        numbered = sparse.csc_array((data, pattern.indices, pattern.indptr), shape=(size, size))
-        nodes = numbered[::3][:, ::3].astype(bool).astype(float)
-        diagonal = sparse.diags_array(np.full(size // 3, float(size)))
-        order = np.argsort(symmetric_lu((nodes + diagonal).tocsc()).perm_c)
-        self._order = (3 * order[:, None] + np.arange(3)).ravel()
+        numbered = sparse.csc_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+        self._order = elimination_order(numbered)
         permuted = numbered[self._order][:, self._order].tocsc()
         permuted.sort_indices()
         self._places = permuted.data.astype(np.int64) - 1

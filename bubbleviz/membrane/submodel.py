@@ -20,7 +20,7 @@ from scipy import sparse
 from bubbleviz.membrane.gas import Gas, HeldPressure
 from bubbleviz.membrane.meshing import part_of, refinement
 from bubbleviz.membrane.rubber import RubberMembrane
-from bubbleviz.membrane.sparse_factor import BlockFactoriser, Factoriser, LinearSolver
+from bubbleviz.membrane.sparse_factor import BlockFactoriser, LinearSolver, condensed
 
 _KEPT = 0.25
 """Motion of a node, in edges of the mesh, up to which its tangent is kept: triangles turn by some
@@ -88,20 +88,16 @@ class Submodel:
         same = np.flatnonzero(own[:, 0] == own[:, 1])
         number[own[same, 0]] = same
         shared = number[moving] >= 0
-        b, f = (_rows(np.flatnonzero(some)) for some in (shared, ~shared))
+        b = _rows(np.flatnonzero(shared))
         self._border = _rows(number[moving[shared]])
         K = outer.tangent(part.nodes, self._gauge_pa)
         g = outer.volume_gradient(part.nodes)[outer.moving].ravel()
-        self._stiffness, self._gradient = K[b][:, b].toarray(), g[b]
-        if not len(f):
+        if shared.all():
+            self._stiffness, self._gradient = K[b][:, b].toarray(), g[b]
             return
-        interior = K[f][:, f].tocsc()
-        interior.sort_indices()
-        right = np.column_stack([K[f][:, b].toarray(), g[f]])
-        back = right.T @ Factoriser(interior).factor(interior.data).solve(right)
-        self._stiffness = self._stiffness - back[:-1, :-1]
-        self._gradient = self._gradient - back[:-1, -1]
-        self._compliance = float(back[-1, -1])
+        rest = condensed(K, g, b)
+        self._stiffness, self._gradient = rest[1:, 1:], rest[1:, 0]
+        self._compliance = -float(rest[0, 0])
 
     def _merge(self) -> None:
         """Joint sparsity pattern of the tangent inside and the dense S."""

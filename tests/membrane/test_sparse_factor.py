@@ -8,6 +8,7 @@ from bubbleviz.membrane import (
     BlockFactoriser,
     Factoriser,
     NodeBlocks,
+    condensed,
     cotangent_laplacian,
     mesh_cap,
     spherical_cap,
@@ -69,6 +70,21 @@ def test_changed_blocks_are_solved_with_the_rest_as_it_was(matrix, size, shift):
     factor = BlockFactoriser(matrix, block).factor(changed.data, rows, added)
     for right in (rng.standard_normal(len(K)), rng.standard_normal((len(K), 4))):
         np.testing.assert_allclose(K @ factor.solve(right), right, atol=1e-8)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_condensed_matrix_is_the_schur_complement(matrix, count):
+    """Also of two that are coupled only by the vector."""
+    K = sparse.csc_array(sparse.block_diag([matrix] * count))
+    random = np.random.default_rng(3)
+    nodes = np.sort(random.permutation(len(K.indptr) // 3)[:20])
+    kept, v = (3 * nodes[:, None] + np.arange(3)).ravel(), random.standard_normal(K.shape[0])
+    both = np.block([[np.zeros((1, 1)), v[None]], [v[:, None], K.toarray()]])
+    ends = np.concatenate([[0], 1 + kept])
+    rest = np.setdiff1d(np.arange(len(both)), ends)
+    back = np.linalg.solve(both[np.ix_(rest, rest)], both[np.ix_(rest, ends)])
+    expected = both[np.ix_(ends, ends)] - both[np.ix_(ends, rest)] @ back
+    np.testing.assert_allclose(condensed(K, v, kept), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("negative", [0, 1, 5])
