@@ -22,7 +22,7 @@ from scipy import sparse
 from scipy.linalg import cho_solve_banded, cholesky_banded, solveh_banded
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from bubbleviz.camera import DepthCamera, MembraneView, RayCaster
+from bubbleviz.camera import DepthCamera, RayCaster
 from bubbleviz.membrane import MembraneMesh, balance_gradient, cotangent_laplacian
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
@@ -38,20 +38,18 @@ _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A free-form surface, its residuals, and the influence of pixels on its γ0 and height."""
+    """A free-form surface, and the influence of pixels on its γ0 and height."""
 
     mesh: MembraneMesh  # the corrected surface in B
-    left_out_rms_m: float  # robust rms error of predicted ranges in tiles left out of the fit, m
-    # (H, W), measured minus cast range, m; NaN where there is no return or the ray misses the mesh
-    residual_m: np.ndarray
     # (H, W), measured minus predicted range of each pixel, by a fit without its tile, m; NaN: none
     left_out_m: np.ndarray
     pixels: np.ndarray  # (P,) int, flat indices of the pixels fitted
     # (P, 2), derivative of γ0 under 1 Pa (m) and of the apex's height by each of their ranges
     influence: np.ndarray
-    # of γ0 under 1 Pa by the posterior, per variance of a pixel: Bayesian intervals of a smoothing
-    # spline (Wahba 1983) include the rim and hidden parts, which the prior alone determines
-    tension_variance: float
+    # σ of γ0 under 1 Pa by the posterior, m, for pixels that err independently by the rms error in
+    # tiles left out of the fit: Bayesian intervals of a smoothing spline (Wahba 1983) include the
+    # rim and hidden parts, which the prior alone determines
+    tension_sigma_m: float
 
 
 def fit_free_form(
@@ -110,12 +108,10 @@ def fit_free_form(
     adjoint = cho_solve_banded(factor, gradients)
     return FreeForm(
         mesh=mesh,
-        left_out_rms_m=left_out_rms,
-        residual_m=range_m - MembraneView(camera, mesh).rest_range,
         left_out_m=left_out_image.reshape(range_m.shape),
         pixels=hits.ray,
         influence=_efficiency(about, sigma) * weights[:, None] * (D @ adjoint),
-        tension_variance=float(gradients[:, 0] @ adjoint[:, 0]),
+        tension_sigma_m=left_out_rms * float(np.sqrt(gradients[:, 0] @ adjoint[:, 0])),
     )
 
 

@@ -8,7 +8,6 @@ from io import BytesIO
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.validation import Validation
 from bubbleviz.membrane import local_tension
 
 _SEQUENTIAL, _DIVERGING = "viridis", "RdBu_r"
@@ -37,41 +36,36 @@ def local_tension_image(found: Identification) -> np.ndarray:
 
 
 def pictures(found: Identification) -> list[dict[str, str]]:
+    """Figures of the report: title, text, and data URI of each."""
     statistics, mask = found.samples.statistics, found.pixels.mask
     residual = found.surfaces.residual_m
-    limit = 3.0 * float(np.std(residual[mask]))
-    top = float(np.nanpercentile(statistics.noise_m[mask], 99.0))
+    noise, press = 1e3 * statistics.noise_m, found.validation
     (before, after), tension = before_after(found), found.tension_n_per_m
-    around = (-1e3 * limit, 1e3 * limit)
-    return [
-        _picture(
-            "Validity", "share of frames with valid depth", statistics.validity, "", (0.0, 1.0)
-        ),
-        _picture("Noise", "standard deviation of the range in one frame", 1e3 * statistics.noise_m,
-                 "mm", (0, 1e3 * top)),
-        _picture("Pixels used", "bright: used", mask.astype(float), "", (0.0, 1.0)),
-        _picture("Residual of the surface", "mean range minus surface", 1e3 * residual, "mm",
-                 around, _DIVERGING),
-        _picture("Last frame before rectification", "range minus surface", 1e3 * before,
-                 "mm", around, _DIVERGING),
-        _picture("Last frame after rectification", "rectified range minus surface",
-                 1e3 * after, "mm", around, _DIVERGING),
-        _picture("Local γ0", "force balance around each pixel", local_tension_image(found), "N/m",
-                 (0.8 * tension, 1.2 * tension), _DIVERGING),
-        *([] if found.validation is None else _validation_pictures(found.validation)),
+    share, limit = (0.0, 1.0), 3e3 * float(np.std(residual[mask]))
+    around = -limit, limit
+    images: list[tuple[str, str, np.ndarray, str, tuple[float, float]]] = [
+        ("Validity", "share of frames with valid depth", statistics.validity, "", share),
+        ("Noise", "standard deviation of the range in one frame", noise, "mm",
+         (0.0, float(np.nanpercentile(noise[mask], 99.0)))),
+        ("Pixels used", "bright: used", mask.astype(float), "", share),
+        ("Residual of the surface", "mean range minus surface", 1e3 * residual, "mm", around),
+        ("Last frame before rectification", "range minus surface", 1e3 * before, "mm", around),
+        ("Last frame after rectification", "rectified range minus surface", 1e3 * after, "mm",
+         around),
+        ("Local γ0", "force balance around each pixel", local_tension_image(found), "N/m",
+         (0.8 * tension, 1.2 * tension)),
     ]  # fmt: skip
-
-
-def _validation_pictures(validation: Validation) -> list[dict[str, str]]:
-    limit = 1e3 * max(3.0 * validation.rms_m, 1e-9)
-    patches = validation.predicted_patch + 2.0 * validation.measured_patch
-    return [
-        _picture("Known press: distance of the measured points",
-                 "from the predicted membrane; negative: inside it",
-                 1e3 * validation.distance_m, "mm", (-limit, limit), _DIVERGING),
-        _picture("Known press: patches", "0 none, 1 predicted only, 2 estimated only, 3 both",
-                 patches, "", (0.0, 3.0)),
-    ]  # fmt: skip
+    if press is not None:
+        limit = 3e3 * max(press.rms_m, 1e-9)
+        patches = press.predicted_patch + 2.0 * press.measured_patch
+        images += [
+            ("Known press: distance of the measured points",
+             "from the predicted membrane; negative: inside it", 1e3 * press.distance_m, "mm",
+             (-limit, limit)),
+            ("Known press: patches", "0 none, 1 predicted only, 2 estimated only, 3 both", patches,
+             "", (0.0, 3.0)),
+        ]  # fmt: skip
+    return [_picture(*each) for each in images]
 
 
 def _picture(
@@ -79,8 +73,7 @@ def _picture(
     text: str,
     image: np.ndarray,
     unit: str,
-    ends: tuple[float, float],
-    colours: str = _SEQUENTIAL,
+    ends: tuple[float, float],  # of the colours: sequential from 0, else diverging
 ) -> dict[str, str]:
     """Title, text, and data URI of a PNG of an image (H, W) with its colour bar."""
     from matplotlib import colormaps  # takes 0.4 s, so not when the window starts
@@ -89,7 +82,7 @@ def _picture(
     figure = Figure(figsize=(6.0, 6.0 * image.shape[0] / image.shape[1]), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
-    cmap = colormaps[colours].with_extremes(bad=_MISSING)
+    cmap = colormaps[_DIVERGING if ends[0] else _SEQUENTIAL].with_extremes(bad=_MISSING)
     shown = axes.imshow(image, vmin=ends[0], vmax=ends[1], cmap=cmap, interpolation="nearest")
     figure.colorbar(shown, label=unit, shrink=0.9)
     file = BytesIO()

@@ -149,13 +149,10 @@ def fit_surfaces(
     )
     squares = _left_out_squares(samples, caps, camera, free_form, side)
     chosen = force or _choose(squares, facet_error(start))
-    mesh, residual = free_form.mesh, free_form.residual_m
-    if chosen != "free-form":
-        mesh = start
-        if chosen == "sphere":
-            caps, camera = _centred(caps, camera, 0)
-            mesh = mesh_cap(caps[0].cap_above_rim, nodes)
-        residual = statistics.range_m - MembraneView(camera, mesh).rest_range
+    mesh = free_form.mesh if chosen == "free-form" else start
+    if chosen == "sphere":
+        caps, camera = _centred(caps, camera, 0)
+        mesh = mesh_cap(caps[0].cap_above_rim, nodes)
     height, sigma = rim_height(edge[:, 2])
     return Surfaces(
         sphere=caps[0],
@@ -170,7 +167,7 @@ def fit_surfaces(
         left_out_rms_m={name: float(np.sqrt(each.mean())) for name, each in squares.items()},
         chosen=chosen,
         mesh=mesh,
-        residual_m=residual,
+        residual_m=statistics.range_m - MembraneView(camera, mesh).rest_range,
         visible_share=check_dome(samples, caps[1], camera, membrane),
         motion_m=motion_m,
     )

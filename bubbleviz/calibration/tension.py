@@ -10,7 +10,6 @@ import numpy as np
 
 from bubbleviz.calibration.cluster_covariance import cluster_covariances
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.free_form import FreeForm
 from bubbleviz.calibration.rest_frames import FrameSamples
 from bubbleviz.camera import facet_error
 from bubbleviz.membrane import as_flat_sheet, balance_tension, least_squares_tension
@@ -73,7 +72,7 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress =
     """
     free_form, stride = surfaces.free_form, surfaces.stride
     if surfaces.chosen == "free-form":
-        linear = _linear_free_form(free_form)
+        linear = _linear_free_form(surfaces)
     else:
         linear = _linear_cap(samples, surfaces)
     now, (tiles, frames) = linear[0], _errors(samples, linear, stride, progress)
@@ -88,7 +87,7 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress =
     # fitted pixels that count as one
     together = max(1.0, samples.statistics.correlated_pixels / stride**2)
     shape = [
-        free_form.left_out_rms_m * np.sqrt(max(free_form.tension_variance, 0.0) * together),
+        free_form.tension_sigma_m * np.sqrt(together),
         by_surface["free-form"] - by_surface[other],
     ]
     if surfaces.chosen != "free-form":
@@ -160,8 +159,9 @@ def _linear_cap(samples: FrameSamples, surfaces: Surfaces) -> Linear:
     return numbers(own), pixels, influence, distance / facing, rows.shape[1]
 
 
-def _linear_free_form(free_form: FreeForm) -> Linear:
-    residual_m = free_form.residual_m.ravel()[free_form.pixels]
+def _linear_free_form(surfaces: Surfaces) -> Linear:
+    free_form = surfaces.free_form
+    residual_m = surfaces.residual_m.ravel()[free_form.pixels]
     influence = np.where(np.isnan(residual_m)[:, None], 0.0, free_form.influence)
     now = {
         "tension_m": balance_tension(free_form.mesh, 1.0),
