@@ -159,7 +159,7 @@ def faces_from(local: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def area_vectors(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Area times unit normal of triangles (m, 3) between nodes (n, 3), (m, 3), m²."""
-    a, b, c = (nodes[triangles[:, k]] for k in range(3))
+    a, b, c = (nodes.take(triangles[:, k], axis=0) for k in range(3))
     return 0.5 * cross(b - a, c - a)
 
 

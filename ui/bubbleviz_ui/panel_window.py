@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -36,7 +36,7 @@ from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKin
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.settings import PATCH_SETTINGS, PLAYBACK_SETTINGS
+from bubbleviz_ui.model.settings import PATCH_SETTINGS, PLAYBACK_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import SourceFacts, name_of, title_text
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.model.units import UNIT_CHOICES
@@ -79,8 +79,10 @@ PLOTS_AFTER_S = 2.0
 """Time after the first source is open when the plotting library is imported, in a thread."""
 UNDO_STEPS = 200
 """Limited because some steps hold collected frames."""
-NOT_DRAWN = PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme", "panels", "plots", "images"}
-"""Settings whose change does not redraw the 3-D view; it follows the theme by its palette."""
+DRAWN = frozenset(each.name for each in fields(Settings)) - (
+    PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme", "panels", "plots", "images"}
+)
+"""Settings whose change redraws the 3-D view; it follows the theme by its palette."""
 SIDES = {
     "right": Qt.DockWidgetArea.RightDockWidgetArea,
     "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
@@ -335,7 +337,9 @@ class PanelWindow(QMainWindow):
         self.state.source_changed.connect(self._on_source)
         self.state.frozen_changed.connect(self._show_title)
         self.state.connection_changed.connect(self._on_connection)
-        self.state.settings_changed.connect(self._on_settings)
+        self.state.follow({"theme"}, lambda: self._use_theme(theme.system_scheme()))
+        self.state.follow(UNIT_CHOICES, self._show_units)
+        self.state.follow(DRAWN, lambda: self.scene.apply(self.state.settings))
         self.state.history_changed.connect(self.scene.follow_scales)
 
     def _play_range(self, frames: tuple[int, int]) -> None:
@@ -371,14 +375,6 @@ class PanelWindow(QMainWindow):
     def _sensor_title(self, facts: SourceFacts) -> str:
         sensor = self.controller.sensor
         return facts.sensor_name if sensor is None else title_text(sensor)
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if "theme" in names:
-            self._use_theme(theme.system_scheme())
-        if names & UNIT_CHOICES.keys():
-            self._show_units()
-        if names - NOT_DRAWN:
-            self.scene.apply(self.state.settings)
 
     def _show_units(self) -> None:
         """Update all numbers after a change of units."""

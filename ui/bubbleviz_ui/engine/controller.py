@@ -43,7 +43,7 @@ class Analysis(QObject):
         self._frames: tuple[int, ...] = ()
         self._products: frozenset[Product] = frozenset()
         self._count, self._cached_only = 0, False
-        state.settings_changed.connect(self._on_settings)
+        state.follow(PATCH_SETTINGS, self._recompute_patches)
 
     @property
     def busy(self) -> bool:
@@ -80,10 +80,6 @@ class Analysis(QObject):
             self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
             self._frames = frames[len(numbers) :]
             self._request_rest()
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & PATCH_SETTINGS:
-            self._recompute_patches()
 
     def _begin(
         self, products: frozenset[Product], frames: np.ndarray, *, cached_only: bool

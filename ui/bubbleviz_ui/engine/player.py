@@ -98,7 +98,7 @@ class Player(QObject):
         state.playing_changed.connect(self._on_playing)
         state.source_changed.connect(self._make_clock)
         state.range_changed.connect(self._make_clock)
-        state.settings_changed.connect(self._on_settings)
+        state.follow(PLAYBACK_SETTINGS, self._start)
 
     def on_result(self, frame: int) -> None:
         """A frame was solved: request the next one if it is due soon."""
@@ -127,10 +127,6 @@ class Player(QObject):
         if facts is not None:
             frames = self._state.play_range
             self._clock = None if facts.grows else PlayClock(facts.times_s, frames)
-            self._start()
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & PLAYBACK_SETTINGS:
             self._start()
 
     def _start(self) -> None:

@@ -62,7 +62,7 @@ class LiveController(QObject):
         controller.failed.connect(self._on_failed)
         view.rendered.connect(self._on_rendered)
         pair.failed.connect(self._on_second_failed)
-        self.state.settings_changed.connect(self._on_settings)
+        self.state.follow(RECORDING_SETTINGS, self._apply_settings)
         self.state.markers_changed.connect(self._on_markers)
 
     @property
@@ -246,10 +246,6 @@ class LiveController(QObject):
         self.publishing.endpoint = settings.publish_at
         if self.run is not None:
             self.run.session.recorder.pre_roll_s = settings.pre_roll_s
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & RECORDING_SETTINGS:
-            self._apply_settings()
 
     def _on_markers(self) -> None:
         marked = frozenset(self.state.markers)

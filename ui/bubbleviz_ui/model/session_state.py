@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -34,6 +34,8 @@ class SessionState(QObject):
         super().__init__()
         self.settings = settings or Settings()
         self.messages = Messages(self)
+        # not connections, whose references the garbage collection of Python does not see
+        self._followers: list[tuple[frozenset[str], Callable[[], object]]] = []
         self.facts: SourceFacts | None = None  # None until a source is open
         self.frame = self.shown_frame = 0  # Frame at the cursor; frame drawn last
         self.final = True  # Its numbers do not depend on the frames drawn before
@@ -200,6 +202,10 @@ class SessionState(QObject):
         self.playing = playing
         self.playing_changed.emit(playing)
 
+    def follow(self, names: Iterable[str], do: Callable[[], object]) -> None:
+        """Call a function after a change of any of these settings."""
+        self._followers.append((frozenset(names), do))
+
     def change(self, **changes: Any) -> None:
         """Change settings by name.
 
@@ -217,6 +223,9 @@ class SessionState(QObject):
             if names & PATCH_SETTINGS:
                 self.history.forget_patches()
             self.settings_changed.emit(names)
+            for followed, do in () if self.signalsBlocked() else self._followers:
+                if names & followed:
+                    do()
 
     def set_layer_visible(self, name: str, visible: bool) -> None:
         """Show or hide a layer of the 3-D view."""

@@ -238,7 +238,7 @@ class ImagesPanel(QWidget):
         hover.changed.connect(self._on_hover)
         self._on_hover(None)
         state.source_changed.connect(self._on_source)
-        state.settings_changed.connect(self._on_settings)
+        state.follow(DRAWN, self._on_settings)
         state.history_changed.connect(self._on_history)
 
     def _lay_out(self) -> None:
@@ -259,10 +259,9 @@ class ImagesPanel(QWidget):
         self._arrange()
         self._draw()
 
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & DRAWN:
-            self._on_seen()
-            self._on_hover(self._hover.place)
+    def _on_settings(self) -> None:
+        self._on_seen()
+        self._on_hover(self._hover.place)
 
     def _on_history(self) -> None:
         """Redraw if another frame has changed the scale of the residual."""

@@ -100,7 +100,7 @@ class KappaPanel(QWidget):
             bind(self.slider, state, "kappa", _to_steps, _to_kappa),
             bind(self.box, state, "kappa"),
         )
-        state.settings_changed.connect(self._show_kappa_controls)
+        state.follow({"kappa"}, self._show_kappa_controls)
         self._show_kappa_controls()
         if state.settings.kappa is None:
             for each in self._kappa:
@@ -109,10 +109,9 @@ class KappaPanel(QWidget):
     def _automatic(self, on: bool) -> float | None:
         return None if on else self.box.value()
 
-    def _show_kappa_controls(self, names: frozenset[str] = frozenset({"kappa"})) -> None:
+    def _show_kappa_controls(self) -> None:
         """Show the controls of κ unless the threshold is automatic."""
-        if "kappa" in names:
-            self.by_kappa.setVisible(self._state.settings.kappa is not None)
+        self.by_kappa.setVisible(self._state.settings.kappa is not None)
 
     def show_result(self, result: Result | None) -> None:
         """Show the numbers of the patch; dashes without a result."""
@@ -267,7 +266,7 @@ class ThresholdPanel(QWidget):
         self.least = control(state, "least_area_m2")
         self._lay_out()
         controller.shown.connect(self._draw)
-        state.settings_changed.connect(self._on_settings)
+        state.follow({*PATCH_SETTINGS, *UNIT_CHOICES}, self._draw)
 
     def _lay_out(self) -> None:
         row = fill(QHBoxLayout(), QLabel(self.least.accessibleName()), (self.least, 1))
@@ -288,10 +287,6 @@ class ThresholdPanel(QWidget):
 
     def _on_dragged(self, line: Any) -> None:
         self._state.change(kappa=kappa_at(line))
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & (PATCH_SETTINGS | UNIT_CHOICES.keys()):
-            self._draw()
 
     # -- drawing ------------------------------------------------------------------------------
 

@@ -69,7 +69,8 @@ class PlotsPanel(QWidget):
         state.history_changed.connect(self._redraw.request)
         state.range_changed.connect(self._show_statistics)
         state.source_changed.connect(self._on_source)
-        state.settings_changed.connect(self._on_settings)
+        state.follow({"plots"}, self._arrange)
+        state.follow(DRAWN, self._draw)
 
     def _lay_out(self) -> None:
         row = fill(
@@ -119,12 +120,6 @@ class PlotsPanel(QWidget):
     def _on_source(self) -> None:
         self._show_all_time()
         self._draw()
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if "plots" in names:
-            self._arrange()
-        if names & DRAWN:
-            self._draw()
 
     def _show_all_time(self) -> None:
         facts = self._state.facts

@@ -88,7 +88,7 @@ class ViewTools(QWidget):
         self._bind(state)
         self._connect(controller)
         self._on_settings()
-        state.settings_changed.connect(self._on_settings)
+        state.follow(SHOWN, self._on_settings)
 
     def _make_buttons(self) -> None:
         self.views = {
@@ -222,9 +222,7 @@ class ViewTools(QWidget):
         self._at.refresh()
         self._show_reading()
 
-    def _on_settings(self, names: frozenset[str] = SHOWN) -> None:
-        if not names & SHOWN:
-            return
+    def _on_settings(self) -> None:
         settings, length = self._state.settings, self._state.units.length
         self.section_text.setText(f"at {length.text(settings.section_at_m)}")
         for box in (self.section_at, self.flipped):

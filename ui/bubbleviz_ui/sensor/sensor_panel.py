@@ -160,7 +160,7 @@ class SensorPanel(QWidget):
             box.textEdited.connect(self._check)
         self._watch.changed.connect(self._on_difference)
         controller.opened.connect(self._on_opened)
-        state.settings_changed.connect(self._on_settings)
+        state.follow(UNIT_CHOICES, self._show)
 
     def _lay_out(self) -> None:
         self.name.setToolTip("Name of the sensor")
@@ -293,10 +293,6 @@ class SensorPanel(QWidget):
         self.difference.setVisible(bool(difference))
         if difference:
             self._state.messages.add("warning", f"{self._opened_file}: {difference}")
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & UNIT_CHOICES.keys():
-            self._show()
 
 
 def _proposed(sensor: Sensor) -> str:

@@ -148,7 +148,7 @@ class ShearPanel(QWidget):
         self.copy = push_button("Copy", "Copy these numbers as text, with their units", self._copy)
         self._lay_out()
         controller.shown.connect(self._write)
-        state.settings_changed.connect(self._on_settings)
+        state.follow({*UNIT_CHOICES, "panels"}, self._write)
 
     def _lay_out(self) -> None:
         numbers, settings = QFormLayout(), form(self.flow)
@@ -168,10 +168,6 @@ class ShearPanel(QWidget):
             1,
             margins=(12, 10, 12, 12),
         )
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & (UNIT_CHOICES.keys() | {"panels"}):
-            self._write()
 
     def _write(self) -> None:
         if "shear" not in self._state.settings.panels:
