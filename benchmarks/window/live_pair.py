@@ -11,6 +11,7 @@ import tempfile
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
 from statistics import quantiles
@@ -125,6 +126,14 @@ class _Counts:
         )
 
 
+def _solve_apart(session: WindowSession) -> bool:
+    """Whether the solver processes of both sensors are ready."""
+    clients = session.controller.client, session.window.pair.second
+    sources = [None if client is None else client.solver.current for client in clients]
+    processes = [None if source is None else source.solver_process for source in sources]
+    return all(process is not None and process.pid is not None for process in processes)
+
+
 def _count_pair(
     session: WindowSession,
     seconds: float,
@@ -135,6 +144,7 @@ def _count_pair(
 ) -> PairReport:
     path, live = folder / "pair.mcap", session.window.live_controller
     run = recorded_run(session, path)
+    session.wait_for(partial(_solve_apart, session), "starting the solver processes")
     run_for(WARM_UP_S)
     session.window.display_latency.begin(10**6)
     before = _Counts.now(session, run, publishers)
