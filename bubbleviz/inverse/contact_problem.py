@@ -303,20 +303,30 @@ class ContactProblem:
         self._hessian = np.empty((0, 0))
         self._position = np.full(len(pressure), -1)
         self._data_hessian = np.empty((0, 0))
-        self._by_nuisances = np.empty((0, len(measurements.nuisances.sigma)))
-        """Jᵀ W R of the assembled nodes, with J = D S, (assembled, a)."""
+        self._pulled = np.empty((0, len(measurements.nuisances.sigma) + 1))
+        """Jᵀ of W R and of `_weighed_error`, with J = D S, (assembled, a + 1)."""
         self._weighed: np.ndarray | None = None
         """Of the assembled nodes, see `_hessian_factors`."""
 
     @cached_property
-    def _gradient_at_p0(self) -> np.ndarray:
-        """Gradient of the misfit at p₀, (n,), 1/Pa."""
-        relaxed = self._measurements.jacobian @ self._relaxation.ravel()
-        return self._pull(self._measurements.error - relaxed)
+    def _unloaded(self) -> np.ndarray:
+        """Motion to equilibrium without contact pressure, (n, 3), m."""
+        return self._relaxation + self._moved(self._p0)
+
+    @cached_property
+    def _weighed_error(self) -> np.ndarray:
+        """Residual without contact pressure times the inverse of its covariance, (k,)."""
+        moved = self._measurements.jacobian @ self._unloaded.ravel()
+        return self._measurements.weighed(self._measurements.error - moved)
+
+    @cached_property
+    def _gradient_at_zero(self) -> np.ndarray:
+        """Gradient of the misfit without contact pressure, (n,), 1/Pa."""
+        return self._pull(self._weighed_error)
 
     def zero_is_optimal(self) -> bool:
-        """Whether zero contact pressure is the solution; for p₀ = 0."""
-        return bool((self._gradient_at_p0 + self._prior.threshold >= 0.0).all())
+        """Whether zero contact pressure is the solution."""
+        return bool((self._gradient_at_zero + self._prior.threshold >= 0.0).all())
 
     def select(self, start: np.ndarray, rounds: int) -> Selection:
         """Solve with the L1 term.
@@ -329,19 +339,16 @@ class ContactProblem:
             How often nodes with a negative gradient may be added; each costs a response of the
             membrane.
         """
-        prior, pivots = self._prior, 0
-        gradient = self.gradient(self._p0) + prior.threshold
-        work = prior.with_neighbours(start | (self._p0 > 0.0))
-        if not start.any():
-            work |= self._steepest(gradient)
-        pressure = self._p0
+        prior, pivots, pressure = self._prior, 0, self._p0
+        work = prior.with_neighbours(start | (pressure > 0.0))
+        if not work.any():
+            work = self._steepest(self._gradient_at_zero + prior.threshold)
         for _ in range(rounds):
             self._restrict_to(np.flatnonzero(work))
+            linear = self._linear + prior.threshold[self._nodes]
             guess = (start | (pressure > 0.0))[self._nodes]
             if not guess.any():
-                slope = gradient[self._nodes]
-                guess = slope < 0.5 * slope.min(initial=0.0)
-            linear = self._linear + prior.threshold[self._nodes]
+                guess = linear < 0.5 * linear.min(initial=0.0)
             x, count, converged = nonnegative_qp(self._hessian, linear, guess)
             pressure = self._scatter(x)
             pivots += count
@@ -426,7 +433,7 @@ class ContactProblem:
         amplitude_cov = self._measurements.nuisance_covariance
         pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._nodes, nodes)))
         slope = (
-            amplitude_cov @ self._by_nuisances[self._position[nodes]].T
+            amplitude_cov @ self._pulled[self._position[nodes], :-1].T
         )  # of the amplitudes by pressure
         across = slope @ pressures
         return np.block([[pressures, across.T], [across, amplitude_cov + across @ slope.T]])
@@ -437,7 +444,7 @@ class ContactProblem:
             self._restrict_to(nodes)
         amplitude_cov, by_amplitudes = self._measurements.nuisance_covariance, unit[len(nodes) :]
         hessian = part(self._hessian, np.searchsorted(self._nodes, nodes))
-        by_nuisances = self._by_nuisances[self._position[nodes]]
+        by_nuisances = self._pulled[self._position[nodes], :-1]
         by_pressures = unit[: len(nodes)] + by_nuisances @ amplitude_cov @ by_amplitudes
         covariance: np.ndarray = by_pressures.T @ solve(hessian, by_pressures, assume_a="pos")
         return covariance + by_amplitudes.T @ amplitude_cov @ by_amplitudes
@@ -464,18 +471,15 @@ class ContactProblem:
         self._assemble_columns(work[~np.isin(work, self._assembled)])
         where = self._position[work]
         self._hessian = part(self._data_hessian, where) + dense_part(self._prior.smoothness, work)
-        by_nuisances = self._by_nuisances[where]
+        by_nuisances, self._linear = self._pulled[where, :-1], self._pulled[where, -1]
         self._hessian -= by_nuisances @ self._measurements.nuisance_covariance @ by_nuisances.T
-        gradient = self.gradient(self._p0)[work]
-        self._linear = gradient - self._hessian @ self._p0[work]
 
     def _assemble_columns(self, nodes: np.ndarray) -> None:
         """Add the columns of the measurements' derivative by pressures of more nodes (c,)."""
         if not len(nodes):
             return
         S = self._membrane.coordinates(nodes)
-        by_nuisances = S.T @ (self._rows.T @ self._measurements.nuisances_weighed)
-        self._by_nuisances = np.concatenate([self._by_nuisances, by_nuisances])
+        self._pulled = np.concatenate([self._pulled, S.T @ self._weighed_rows])
         half, weighed = self._hessian_factors(S)
         before = len(self._assembled)
         self._position[nodes] = before + np.arange(len(nodes))
@@ -493,6 +497,13 @@ class ContactProblem:
     def _rows(self) -> sparse.csr_array:
         """D by the membrane's coordinates, (k, m)."""
         return self._membrane.by_coordinates(self._measurements.jacobian)
+
+    @cached_property
+    def _weighed_rows(self) -> np.ndarray:
+        """Dᵀ of W R and of `_weighed_error`, by the membrane's coordinates, (m, a + 1)."""
+        weighed = self._measurements.nuisances_weighed, self._weighed_error
+        pulled: np.ndarray = self._rows.T @ np.column_stack(weighed)
+        return pulled
 
     @cached_property
     def _information(self) -> sparse.csc_array | None:
@@ -522,18 +533,16 @@ class ContactProblem:
 
     def gradient(self, pressure: np.ndarray) -> np.ndarray:
         """Gradient of misfit and H1 term, (n,)."""
-        data = self._gradient_at_p0
-        if pressure is not self._p0:
-            moved = self._motion(pressure) - self._relaxation
-            data = data - self._pull(self._measurements.jacobian @ moved.ravel())
-        return data + self._prior.smoothness @ pressure
+        moved = self._measurements.jacobian @ self._motion(pressure).ravel()
+        weighed = self._measurements.weighed(self._measurements.error - moved)
+        return self._pull(weighed) + self._prior.smoothness @ pressure
 
     def kkt_residual(self, pressure: np.ndarray) -> float:
         """‖min(p, ∇)‖ of a pressure (n,) on its own support without the L1 term; both relative."""
         where = pressure > 0.0
         if not where.any():
             return 0.0
-        scale = float(np.abs(self._gradient_at_p0).max())
+        scale = float(np.abs(self._gradient_at_zero).max())
         gradient = self.gradient(pressure)[where] / scale
         return float(np.abs(np.minimum(pressure[where] / pressure.max(), gradient)).max())
 
@@ -545,17 +554,18 @@ class ContactProblem:
 
     def _motion(self, pressure: np.ndarray) -> np.ndarray:
         """Motion to equilibrium under a pressure (n,), (n, 3)."""
-        change = pressure - self._p0
-        if not change.any():
-            return self._relaxation
-        nodes = np.flatnonzero(change)
-        return self._relaxation - self._membrane.moved(
-            self._membrane.coordinates(nodes) @ change[nodes]
-        )
+        return self._unloaded - self._moved(pressure)
 
-    def _pull(self, residual: np.ndarray) -> np.ndarray:
-        weighted = self._measurements.transposed @ self._measurements.weighed(residual)
-        return self._membrane.adjoint(weighted.reshape(-1, 3))
+    def _moved(self, pressure: np.ndarray) -> np.ndarray:
+        """Motion under a pressure (n,) from inside, (n, 3)."""
+        nodes = np.flatnonzero(pressure)
+        if not len(nodes):
+            return np.zeros_like(self._relaxation)
+        return self._membrane.moved(self._membrane.coordinates(nodes) @ pressure[nodes])
+
+    def _pull(self, weighed: np.ndarray) -> np.ndarray:
+        """Derivative of the measurements by pressures, transposed, times a vector (k,)."""
+        return self._membrane.adjoint((self._measurements.transposed @ weighed).reshape(-1, 3))
 
     def _scatter(self, x: np.ndarray) -> np.ndarray:
         pressure = np.zeros(len(self._p0))

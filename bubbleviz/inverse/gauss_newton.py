@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -15,6 +15,7 @@ from bubbleviz.inverse.contact_problem import (
     ContactProblem,
     Prior,
     Selection,
+    significant_contact,
 )
 from bubbleviz.inverse.friction import friction_nuisances
 from bubbleviz.inverse.measurements import (
@@ -66,6 +67,8 @@ class State:
         Force of friction on the nodes, N.
     image_errors : (4,) array
         Amplitudes of `IMAGE_ERRORS`, m, m, m and 1.
+    balanced : bool
+        Whether the shape is in equilibrium under these.
     """
 
     x: np.ndarray
@@ -74,6 +77,7 @@ class State:
     gas: float
     friction: np.ndarray
     image_errors: np.ndarray
+    balanced: bool
 
 
 @dataclass(frozen=True)
@@ -84,8 +88,6 @@ class Step:
     ----------
     state : State
         State after it.
-    balanced : bool
-        Whether that is an equilibrium.
     motion : (n, 3) array
         m.
     normal_motion_m : float
@@ -105,7 +107,6 @@ class Step:
     """
 
     state: State
-    balanced: bool
     motion: np.ndarray
     normal_motion_m: float
     contact: ContactPressure
@@ -172,9 +173,8 @@ class GaussNewton:
         self._max_step_m = MAX_STEP * edge
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
-        self.rest = State(
-            rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest), self.image_prior.mean
-        )
+        image = self.image_prior.mean
+        self.rest = State(rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest), image, True)
         self._rest_tangent = {
             measured: bubble.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
@@ -221,8 +221,13 @@ class GaussNewton:
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
-        outside = np.count_nonzero(observed.weight) - contact_blocks(observed, pressure)
+        outside = np.count_nonzero(observed.weight) - self.contact_blocks(observed, pressure)
         return bool(outside >= _MIN_CONTACT_FREE * len(self._view_at_rest.block))
+
+    def contact_blocks(self, observed: LinearisedFrame, pressure: np.ndarray) -> int:
+        """Number of blocks of pixels that see a facet with a node under pressure (n,)."""
+        touched = (pressure > 0.0)[self.mesh.triangles].any(axis=1)
+        return int(np.count_nonzero(touched[observed.view.hits.triangle] & (observed.weight > 0.0)))
 
     def fits_without_contact(
         self, at_rest: LinearisedFrame, gas: float | None, noise: float = 1.0
@@ -256,24 +261,24 @@ class GaussNewton:
         rounds: int,
         fit_image: bool,
         friction_scales: tuple[float, float] | None,
-        near_contact: np.ndarray | None = None,
     ) -> Step | None:
         """A step from a state by a tangent, or None if its problem was not solved.
 
-        Its support is selected in so many rounds, without the parts that contain none of the
-        nodes (n,) bool near a known contact; errors of the whole image are fitted or zero, and
-        friction is fitted where its scales are given.
+        Its support is selected in so many rounds; errors of the whole image are fitted or zero.
+        Near the solution, where scales of friction are given, that is fitted, and parts of the
+        contact that are not significant are left out.
         """
         measurements, friction = self._measurements(
             tangent, state, observed, gas, noise, friction_scales, fit_image=fit_image
         )
         began = time.perf_counter()
-        contact = self._contact(tangent, measurements, state, gas, rounds, near_contact)
+        near = friction_scales is not None
+        contact = self._contact(tangent, measurements, state, gas, rounds, near)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
         image_errors = observed.image_prior.at(contact.amplitudes[-len(IMAGE_ERRORS) :])
-        after, balanced, last = self._advance(
+        after, last = self._advance(
             tangent, state, measurements.nuisances, contact, gas, image_errors
         )
         motion = after.x - state.x
@@ -283,7 +288,6 @@ class GaussNewton:
         along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
         return Step(
             after,
-            balanced,
             motion,
             float(np.abs(along).max()),
             contact,
@@ -351,7 +355,7 @@ class GaussNewton:
         state: State,
         gas: float | None,
         rounds: int,
-        near_contact: np.ndarray | None,
+        near: bool,
     ) -> ContactPressure:
         problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
@@ -363,20 +367,32 @@ class GaussNewton:
         least = self.bubble.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-            kept = parts_with(self.mesh.rings, pressure >= least, support)
-            if near_contact is None:
-                return kept
-            return parts_with(self.mesh.rings, near_contact, kept)
+            return parts_with(self.mesh.rings, pressure >= least, support)
 
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)
-        return problem.solve_debiased(selection, touches)
+        contact = problem.solve_debiased(selection, touches)
+        significant = contact.pressure > 0.0
+        if near:
+            significant = significant_contact(self.mesh, contact)
+        if np.array_equal(significant, contact.pressure > 0.0):
+            return contact
+        return problem.solve_debiased(replace(selection, support=significant), touches)
 
     def _relaxation(self, tangent: Tangent, state: State, gas: float | None) -> np.ndarray:
-        """Motion (n, 3) to equilibrium under the pressure of a state, to first order."""
-        if state is self.rest:  # in equilibrium except for a measured gas pressure
-            return np.zeros_like(state.x) if gas is None else gas * tangent.bulge
-        return tangent.motion(-self.bubble.residual(state.x, state.pressure, gas))
+        """Motion (n, 3) to equilibrium without friction, under the pressure of a state and the gas.
+
+        To first order.
+        """
+        if not state.balanced:
+            return tangent.motion(-self.bubble.residual(state.x, state.pressure, gas))
+        motion = np.zeros_like(state.x)
+        if state.friction.any():
+            motion -= tangent.motion(state.friction)
+        change = self.bubble.gas_at(state.x)[0] if gas is None else gas
+        if change != state.gas:
+            motion += (change - state.gas) * tangent.bulge
+        return motion
 
     def _advance(
         self,
@@ -386,8 +402,8 @@ class GaussNewton:
         contact: ContactPressure,
         gas: float | None,
         image_errors: np.ndarray,
-    ) -> tuple[State, bool, Tangent]:
-        """State after a step, whether it is an equilibrium, and the last tangent computed.
+    ) -> tuple[State, Tangent]:
+        """State after a step, and the last tangent computed.
 
         The shape is moved on to equilibrium under its new pressure where there is one nearby. There
         need not be one under a part of a pressure (the object prescribes positions, not pressures);
@@ -409,8 +425,8 @@ class GaussNewton:
             x = linear
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
-        after = State(x, pressure, contact.support, inside, friction, image_errors)
-        return after, balanced, tangent
+        after = State(x, pressure, contact.support, inside, friction, image_errors, balanced)
+        return after, tangent
 
     def tangent_at(
         self, state: State, gas: float | None, last: Tangent | None = None, step_m: float = 0.0
@@ -425,7 +441,7 @@ class GaussNewton:
             return self._rest_tangent[measured]
         if last is not None and last.with_gas is not measured:
             away_m = float(np.abs(state.x - last.x).max())
-            if away_m <= max(step_m, self._reuse_m):
+            if away_m <= max(step_m * (last is not self._rest_tangent[measured]), self._reuse_m):
                 return last
         return self.bubble.linearised(state.x, state.pressure, state.gas if measured else None)
 
@@ -435,12 +451,3 @@ class GaussNewton:
         return measured_pa is not None and contradicts_measured_gas(
             shape_pa, measured_pa, gas, gauge
         )
-
-
-def contact_blocks(observed: LinearisedFrame, pressure: np.ndarray) -> int:
-    """Number of blocks of pixels that see a facet with a node under pressure (n,)."""
-    jacobian = observed.view.jacobian
-    touched = (pressure > 0.0)[jacobian.indices // 3]
-    row = np.repeat(np.arange(jacobian.shape[0]), np.diff(jacobian.indptr))
-    sees = np.bincount(row[touched], minlength=jacobian.shape[0]) > 0
-    return int(np.count_nonzero(sees & (observed.weight > 0.0)))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Measured, Misfit, ShapeRanges
-from bubbleviz.inverse.contact_problem import ContactPressure, significant_contact
 from bubbleviz.inverse.friction import (
     WIDEST,
     FrictionScale,
@@ -21,7 +20,6 @@ from bubbleviz.inverse.gauss_newton import (
     GaussNewton,
     State,
     Step,
-    contact_blocks,
 )
 from bubbleviz.inverse.measurements import FlowResidual, FrameData, LinearisedFrame
 from bubbleviz.inverse.noise import AS_EXPECTED, MAX_NOISES, Noise, noise_converged
@@ -29,7 +27,6 @@ from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.plausibility import IMPLAUSIBLE_MISFIT, IMPLAUSIBLE_SHARE
 from bubbleviz.inverse.response import Tangent
 from bubbleviz.inverse.wrench_covariance import change_by, unit_wrenches, wrench_covariance
-from bubbleviz.membrane import grown
 from bubbleviz.result import FlowFit, Status
 
 _CONVERGED_MOTION = 0.05
@@ -142,9 +139,11 @@ class Iteration:
        the image cannot be of this membrane, if the shape leaves its surroundings (`length_m`),
        or if large steps hardly reduce the misfit.
     2. Step: solve for contact pressure and nuisances, on a support that is selected anew as
-       long as steps are large, in the first steps, and after a first guess of the noise factor.
-       After other small steps the support is kept, as the solution could alternate between two
-       supports for ever. Friction and errors of the whole image are fitted only near the
+       long as steps are large, in the first steps, near convergence, and after a first guess of
+       the noise factor. After other small steps the support is kept, as the solution could
+       alternate between two supports for ever. Parts of the contact that are not significant are
+       left out: they explain noise by a few nodes that depend on the frames before, and change
+       the force by up to 3 %. Friction and errors of the whole image are fitted only near the
        solution, where they cannot explain errors of the linearisation. Optical flow counts only
        there, and only with a contact: no unknown but friction explains motion along the membrane.
     3. Once the shape has converged, select the support again, until it is complete.
@@ -155,9 +154,6 @@ class Iteration:
        sensor. Without a warm start the first step to an equilibrium gives a first guess of the
        factor, unless it contradicts a measured gas pressure; until then, only the nodes with the
        steepest gradient are selected.
-    5. Leave out parts of the contact that are not significant, and repeat from 1 without them.
-       They explain noise by a few nodes that depend on the frames before, and change the force
-       by up to 3 %.
 
     Parameters
     ----------
@@ -177,7 +173,6 @@ class Iteration:
         self._tangent = start.tangent
         self._noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
         self._friction_scales = start.friction_scales if self._warm else WIDEST
-        self._near_contact: np.ndarray | None = None
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         self._settings: list[tuple[Noise, tuple[float, float]]] = []  # of converged solutions
         self._near = self._warm  # the errors of the linearisation are small
@@ -188,6 +183,7 @@ class Iteration:
         self._selecting, self._selections = True, 0
         self._steps = self._large_steps = self._stalled = self._settling = 0
         self._best_misfit, self._motion_m, self._solve_ms = np.inf, 0.0, 0.0
+        self._normal_motion_m = 0.0
 
     def solve(self) -> SolvedFrame | Status:
         """Solution of the frame, or why there is none.
@@ -223,7 +219,6 @@ class Iteration:
                 rounds,
                 fit_image,
                 self._friction_scales if self._near else None,
-                self._near_contact,
             )
             if step is None:
                 break
@@ -244,8 +239,8 @@ class Iteration:
 
     @property
     def _large(self) -> bool:
-        """Whether the last step was large."""
-        return self._motion_m > self._large_m
+        """Whether the last step was large: motion along the membrane hardly changes an image."""
+        return min(self._motion_m, self._normal_motion_m) > self._large_m
 
     def _observe(self, *, by_flow: bool) -> LinearisedFrame:
         return self._newton.observe(self._data, self._state, self._view, by_flow)
@@ -262,7 +257,8 @@ class Iteration:
             # Friction has not explained any of it yet: steps with too small a factor diverge.
             factor = observed.flow.noise_factor(np.zeros_like(self._state.x))
             self._noise = self._noise.with_flow(factor)
-        misfit = observed.misfit(observed.error_m)
+        judged = self._large or self._steps == 1
+        misfit = observed.misfit(observed.error_m) if judged else np.inf
         poor = self._large and misfit >= _STALLED_SHARE * self._best_misfit
         self._stalled = self._stalled + 1 if poor else 0
         self._best_misfit = min(self._best_misfit, misfit)
@@ -281,7 +277,7 @@ class Iteration:
     def _take(self, step: Step, observed: LinearisedFrame) -> None:
         self._state, self._view, self._tangent = step.state, observed.view, step.last_tangent
         self._solve_ms += step.solve_ms
-        self._motion_m = step.motion_m
+        self._motion_m, self._normal_motion_m = step.motion_m, step.normal_motion_m
         self._large_steps += self._selecting and self._large and step.motion_m < self._cut_m
 
     def _has_converged(
@@ -293,13 +289,13 @@ class Iteration:
         outside the contact.
         """
         motion, newton = step.normal_motion_m, self._newton
-        converged = self._near and step.balanced and motion <= self._converged_m
+        converged = self._near and step.state.balanced and motion <= self._converged_m
         self._settling = self._settling + 1 if converged else 0
         converged = converged and (motion <= self._settled_m or self._settling > _MAX_SETTLING)
-        self._near = self._near or not self._large
+        self._near = self._near or (step.state.balanced and step.motion_m < self._cut_m)
         if self._near and self._image_shows_rest:
             self._image_shows_rest = newton.shows_rest(observed, step.contact.pressure)
-        if first and step.balanced and self._settled_m < motion <= self._reuse_m:
+        if first and step.state.balanced and self._settled_m < motion <= self._reuse_m:
             self._following = self._observe(by_flow=True)
             converged = _was_linear(newton, step, observed, self._following)
         converged = converged and fit_image == (self._near and self._image_shows_rest)
@@ -318,8 +314,8 @@ class Iteration:
         complete = self._selecting and step.contact.complete
         done = converged and (complete or self._selections > _MAX_SELECTIONS)
         contradicts = self._newton.contradicts(step.state.gas, self._data.gas_pa)
-        first_guess = step.balanced and not self._noise_known and not contradicts
-        known = step.balanced and self._noise_known and not self._large and searched
+        first_guess = step.state.balanced and not self._noise_known and not contradicts
+        known = step.state.balanced and self._noise_known and not self._large and searched
         if done or first_guess or known:
             updated = self._newton.updated_noise(
                 step, observed, self._noise, self._image_shows_rest
@@ -328,16 +324,14 @@ class Iteration:
             known = noise_converged(updated, self._noise, self._noises, int(self._warm))
             known = known and slides.converged and spins.converged
             if done and (known or self._alternates() or len(self._noises) >= MAX_NOISES):
-                if self._all_significant(step.contact):
-                    return True
-                self._noises, self._settings = [], []
+                return True
             self._friction_scales = slides.value, spins.value
             if done or first_guess:
                 self._noises.append(self._noise if done else Noise(np.inf, np.inf))
                 self._selections = self._steps = self._stalled = self._settling = 0
             self._noise = updated
         early = self._steps < _SELECTING_STEPS
-        self._selecting = converged or self._large or first_guess or early
+        self._selecting = converged or self._settling > 0 or self._large or first_guess or early
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
@@ -348,16 +342,6 @@ class Iteration:
         repeated = self._settings[self._settings.index(now) :] if now in self._settings else []
         self._settings.append(now)
         return bool(repeated) and now == max(repeated)
-
-    def _all_significant(self, contact: ContactPressure) -> bool:
-        """Whether all parts of a contact are significant; others are left out from now on."""
-        mesh = self._newton.mesh
-        significant = significant_contact(mesh, contact)
-        if np.array_equal(significant, contact.pressure > 0.0):
-            return True
-        near = grown(mesh.rings, significant)  # without the others it may move by one node
-        self._near_contact = near if self._near_contact is None else near & self._near_contact
-        return False
 
     def _friction(self, step: Step) -> tuple[FrictionScale, FrictionScale]:
         """Scales of the prior of slides and spins by a step."""
@@ -377,7 +361,7 @@ class Iteration:
 
     def _result(self, step: Step, observed: LinearisedFrame) -> SolvedFrame | Status:
         newton, pressure = self._newton, step.contact.pressure
-        if contact_blocks(observed, pressure) < np.count_nonzero(pressure):
+        if newton.contact_blocks(observed, pressure) < np.count_nonzero(pressure):
             return "no_data"
         touching = pressure.any()
         if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
@@ -426,7 +410,7 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
     step = newton.step(
         rest_tangent, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits, None
     )
-    if step is None or not step.balanced:
+    if step is None or not step.state.balanced:
         return False
     shows_rest = newton.shows_rest(observed, step.contact.pressure)
     noise = newton.updated_noise(step, observed, AS_EXPECTED, shows_rest).ranges

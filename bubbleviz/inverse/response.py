@@ -25,8 +25,9 @@ from bubbleviz.membrane import (
     symmetric_lu,
 )
 
-_FORCE_TOLERANCE = 1e-3
-"""Tolerance of equilibrium: residual force at a node over the gas load on a mean nodal area."""
+_BALANCED_MOTION = 2e-3
+"""Tolerance of equilibrium: motion of a node by the last Newton step over the mesh edge, a tenth of
+that below which a frame has converged."""
 _NEWTON, _FRESH = 16, 2
 """Newton steps to equilibrium under a contact pressure, and how many of them may factorise a new
 tangent."""
@@ -308,14 +309,11 @@ class Bubble(ABC):
         force: np.ndarray | None = None,
     ) -> tuple[np.ndarray, bool, Tangent]:
         """Equilibrium near a shape by Newton's method; whether it converged; the last tangent."""
-        load = self.held_pressure_pa * float(self.mesh.areas.mean())
-        last, fresh = np.inf, 0
+        edge, last, fresh = self.mesh.edge_length, np.inf, 0
         for _ in range(_NEWTON):
             residual = self.residual(x, pressure, gas, force)
-            size = float(np.abs(residual[self.moving]).max()) / load
-            if size < _FORCE_TOLERANCE:
-                return x, True, tangent
-            if not size < 1e3:
+            size = float(np.abs(residual[self.moving]).max())
+            if not np.isfinite(size):
                 break
             if size > _SLOW * last:
                 if fresh == _FRESH:
@@ -324,7 +322,10 @@ class Bubble(ABC):
                 fresh += 1
             last = size
             motion = tangent.motion(-residual)
-            x = x + min(1.0, self.mesh.edge_length / float(np.abs(motion).max())) * motion
+            length = float(np.abs(motion).max()) / edge
+            x = x + motion / max(1.0, length)
+            if length < _BALANCED_MOTION:
+                return x, True, tangent
         return x, False, tangent
 
 
