@@ -287,6 +287,7 @@ class FrameSolver:
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._touched, self._moved = 0, 0  # frames with contact; of which the camera has moved
+        self._partly_seen, self._least_seen = 0, 1.0  # contacts that the camera sees a share of
         self._coarse: bool | None = None  # whether depth is rounded by more than the noise hides
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
@@ -306,6 +307,9 @@ class FrameSolver:
             touched = result.estimate.status == "ok"
             self._touched += touched
             self._moved += touched and camera_moved(result)
+        if result.estimate is not None and result.estimate.seen_share < 1.0:
+            self._partly_seen += 1
+            self._least_seen = min(self._least_seen, result.estimate.seen_share)
         friction = _least_friction(result)
         if friction > self.pipeline.options.friction:
             self._frames_over += 1
@@ -318,6 +322,7 @@ class FrameSolver:
             self._sensor_warning(where),
             self._drift_warning(),
             self._friction_warning(),
+            self._edge_warning(),
             _COARSE.format(where=where) if self._coarse else "",
         )
         return [text for text in found if text]
@@ -367,6 +372,17 @@ class FrameSolver:
             f"{self._most_friction:.2g} of the normal force, more than the expected coefficient of "
             f"{self.pipeline.options.friction:.2g}, which makes its estimate too small: repeat "
             "with a larger --friction"
+        )
+
+    def _edge_warning(self) -> str:
+        """Warning if contacts reach the edge of the image, or of a hole in it; else empty."""
+        if not self._partly_seen:
+            return ""
+        return (
+            f"the camera sees only a part of the contact in {count_of(self._partly_seen, 'frame')} "
+            f"(at least {100 * self._least_seen:.0f} % of its area); the force on the rest follows "
+            "from the membrane around it and is less certain. Press nearer to the middle of the "
+            "image"
         )
 
     def _sensor_warning(self, where: str) -> str:

@@ -583,34 +583,25 @@ frames solved without a warm start; the rest is margin. The depth camera's tempo
 images of a moving membrane, which no shape in equilibrium explains."""
 
 
-def _substantial(mesh: MembraneMesh, pressure: np.ndarray) -> np.ndarray:
-    """Nodes (n,) bool of the parts of a pressure (n,) that carry more than the misplaced load."""
-    touching = pressure > 0.0
-    count, part = connected_parts(mesh.rings, touching)
-    loads = np.bincount(part, (mesh.areas * pressure)[touching], minlength=count)
-    touching[touching] = (loads >= MISPLACED_LOAD * loads.max(initial=0.0))[part]
-    return touching
-
-
 def significant_contact(mesh: MembraneMesh, contact: ContactPressure) -> np.ndarray:
-    """Nodes (n,) bool of the significant parts; the part with the largest load always is one.
+    """Nodes (n,) bool under pressure in significant parts of the support.
 
-    Others must carry more than `MISPLACED_LOAD` and more than noise does at any of the n nodes.
+    The part with the largest load always is one. Others must carry more than `MISPLACED_LOAD` of
+    it, and more than noise does at any of the n nodes.
     """
-    found = _substantial(mesh, contact.pressure)
-    count, part = connected_parts(mesh.rings, found)
-    if count < 2:
-        return found
-    nodes = np.flatnonzero(found)
-    own = part == np.arange(count)[:, None]  # (count, nodes)
-    loads, rows = own @ (mesh.areas * contact.pressure)[nodes], own * mesh.areas[nodes]
-    where = np.searchsorted(contact.nodes, nodes)
-    covariance = contact.covariance[np.ix_(where, where)]
-    sigma = np.sqrt(np.einsum("ki,ij,kj->k", rows, covariance, rows))
-    kept = [
-        load >= universal_threshold(each, len(mesh.free))
-        for load, each in zip(loads, sigma, strict=True)
-    ]
-    kept[np.argmax(loads)] = True
-    found[nodes] = np.array(kept)[part]
-    return found
+    count, part = connected_parts(mesh.rings, contact.support)
+    nodes = np.flatnonzero(contact.support)
+    load = (mesh.areas * contact.pressure)[nodes]
+    loads = np.bincount(part, load, minlength=count)
+    kept = loads >= MISPLACED_LOAD * loads.max(initial=0.0)
+    if np.count_nonzero(kept) > 1:
+        pressed = contact.pressure[nodes] > 0.0
+        own = part[pressed] == np.arange(count)[:, None]  # (count, nodes under pressure)
+        rows = own * mesh.areas[contact.nodes]
+        covariance = contact.covariance[: len(contact.nodes), : len(contact.nodes)]
+        sigma = np.sqrt(np.einsum("ki,ij,kj->k", rows, covariance, rows))
+        least = universal_threshold(np.ones(1), len(mesh.free)) * sigma
+        kept &= (loads >= least) | (loads == loads.max())
+    significant = contact.pressure > 0.0
+    significant[nodes] &= kept[part]
+    return significant

@@ -29,7 +29,7 @@ from bubbleviz.inverse.noise import Noise
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
 from bubbleviz.inverse.resolution import sampled, universal_threshold
 from bubbleviz.inverse.response import Bubble, Tangent
-from bubbleviz.membrane import Gas, parts_with
+from bubbleviz.membrane import Gas, connected_parts, grown, parts_with
 
 TANGENT_REUSE, LARGE_MOTION, MAX_STEP = 0.2, 0.5, 2.0
 """Motions of the nodes over the mesh edge. A tangent is used again within `TANGENT_REUSE` of the
@@ -273,7 +273,7 @@ class GaussNewton:
         )
         began = time.perf_counter()
         near = friction_scales is not None
-        contact = self._contact(tangent, measurements, state, gas, rounds, near)
+        contact = self._contact(tangent, measurements, state, gas, rounds, near, observed.seen)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
@@ -356,6 +356,7 @@ class GaussNewton:
         gas: float | None,
         rounds: int,
         near: bool,
+        seen: np.ndarray,
     ) -> ContactPressure:
         problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
@@ -371,6 +372,9 @@ class GaussNewton:
 
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)
+        if rounds:
+            continued = self._continued(selection.support, seen)
+            selection = replace(selection, support=continued)
         contact = problem.solve_debiased(selection, touches)
         significant = contact.pressure > 0.0
         if near:
@@ -378,6 +382,29 @@ class GaussNewton:
         if np.array_equal(significant, contact.pressure > 0.0):
             return contact
         return problem.solve_debiased(replace(selection, support=significant), touches)
+
+    def _continued(self, support: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        """Support (n,) bool of contacts that continue where no node is `seen` (n,) bool.
+
+        The edge of the image, or of a hole in it, is not the edge of the contact, and the L1 term
+        selects no node that has no measurement. A contact may continue there by its own diameter.
+        How much pressure there is follows from smoothness and from the membrane around.
+        """
+        mesh, hidden = self.mesh, ~(seen | self.mesh.rim)
+        if not (hidden & grown(mesh.rings, support)).any():
+            return support
+        continued, nodes = np.zeros_like(support), np.flatnonzero(support)
+        count, part = connected_parts(mesh.rings, support)
+        for number in range(count):
+            own = np.zeros_like(support)
+            own[nodes[part == number]] = True
+            if (own & seen).any():
+                own &= seen
+                diameter_m = 2.0 * np.sqrt(mesh.areas[own].sum() / np.pi)
+                for _ in range(round(diameter_m / mesh.edge_length)):
+                    own |= hidden & grown(mesh.rings, own)
+            continued |= own
+        return continued
 
     def _relaxation(self, tangent: Tangent, state: State, gas: float | None) -> np.ndarray:
         """Motion (n, 3) to equilibrium without friction, under the pressure of a state and the gas.

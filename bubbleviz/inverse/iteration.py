@@ -361,9 +361,9 @@ class Iteration:
 
     def _result(self, step: Step, observed: LinearisedFrame) -> SolvedFrame | Status:
         newton, pressure = self._newton, step.contact.pressure
-        if newton.contact_blocks(observed, pressure) < np.count_nonzero(pressure):
+        touching, unknown = pressure.any(), np.count_nonzero(pressure[observed.seen])
+        if touching and newton.contact_blocks(observed, pressure) < max(int(unknown), 1):
             return "no_data"
-        touching = pressure.any()
         if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
             return "implausible"  # contact does not improve the fit
         if not touching and self._noise.ranges > IMPLAUSIBLE_MISFIT:
@@ -383,7 +383,7 @@ class Iteration:
                 newton.friction * ~by_flow,
                 [each.spread for each in self._friction(step)],
             ),
-            _visible_share(observed, mesh.areas * (pressure > 0.0)),
+            _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
             _flow_fit(step, observed.flow, self._noise) if by_flow.any() else None,
             self._image_errors(step, observed),
             self._solve_ms,
@@ -452,12 +452,9 @@ def _was_linear(
     return bool((change**2 <= variance).all())
 
 
-def _visible_share(observed: LinearisedFrame, area: np.ndarray) -> float:
-    """Share of an area of nodes (n,) whose facets are visible."""
-    jacobian, visible = observed.view.jacobian, np.zeros(len(area), bool)
-    weighed = np.repeat(observed.weight > 0.0, np.diff(jacobian.indptr))
-    visible[jacobian.indices[weighed] // 3] = True
-    return float(area @ visible / area.sum()) if area.any() else np.nan
+def _seen_share(seen: np.ndarray, area: np.ndarray) -> float:
+    """Share of an area of nodes (n,) whose facets are seen."""
+    return float(area @ seen / area.sum()) if area.any() else np.nan
 
 
 def _flow_fit(step: Step, flow: FlowResidual | None, noise: Noise) -> FlowFit:

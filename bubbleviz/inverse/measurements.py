@@ -224,6 +224,14 @@ class LinearisedFrame:
         """1/σ² of the blocks in `view`, (k,), 1/m²."""
         return self.observation.weight[self.view.block]
 
+    @cached_property
+    def seen(self) -> np.ndarray:
+        """Nodes of the facets that are measured, (n,) bool."""
+        corners = self.view.jacobian.indices.reshape(-1, 9)[self.weight > 0.0, ::3] // 3
+        seen = np.zeros(self.view.jacobian.shape[1] // 3, bool)
+        seen[corners] = True
+        return seen
+
     @property
     def seen_by_flow(self) -> np.ndarray:
         """Nodes next to which flow was measured, (n,) bool."""

@@ -140,6 +140,18 @@ def test_depth_rounded_by_more_than_the_noise_hides_gives_a_warning(frames, sens
         assert "rounded" not in (bv.estimate(images, own).warning or "")
 
 
+def test_a_contact_that_the_camera_sees_in_part_gives_a_warning(frames, sensor, estimated):
+    _, column = np.unravel_index(
+        np.nanargmax(frames[0].depth_m - frames[TOUCHING[0]].depth_m), frames[0].depth_m.shape
+    )
+    cut = [replace(each, depth_m=each.depth_m.copy()) for each in frames]
+    for each in cut:
+        each.depth_m[:, column:] = np.nan
+    warning = bv.estimate(cut, sensor).warning or ""
+    assert f"only a part of the contact in {len(TOUCHING)} frames" in warning
+    assert "part of the contact" not in (estimated.warning or "")
+
+
 def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(sensor):
     """The gas law then predicts another shape, which looks like a drift of the camera."""
     heights = [0.060] * 12 + np.linspace(0.049, 0.036, 10).tolist()

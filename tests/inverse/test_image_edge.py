@@ -1,0 +1,51 @@
+"""Contacts at the edge of the image: the camera sees a part of them."""
+
+import numpy as np
+import pytest
+
+from tests.inverse.test_rubber_estimator import (
+    BALL,
+    CAMERA,
+    NOISE_M,
+    depth_image_of,
+    estimator,
+    oracle,
+)
+
+ROWS, COLUMNS = np.indices((CAMERA.intrinsics.height, CAMERA.intrinsics.width))
+FROM_MIDDLE_PX = {
+    "left": CAMERA.intrinsics.cx - COLUMNS,
+    "right": COLUMNS - CAMERA.intrinsics.cx,
+    "top": CAMERA.intrinsics.cy - ROWS,
+    "bottom": ROWS - CAMERA.intrinsics.cy,
+}
+
+
+@pytest.fixture(scope="module", params=[NOISE_M, 6e-4], ids=["0.1 mm", "1 %"])
+def noisy(request):
+    """Noise of the depth, m, and the estimator for it."""
+    return request.param, estimator(1000, relative=request.param / 0.065)
+
+
+@pytest.mark.parametrize(
+    ("side", "depth", "ball", "cut"),
+    [
+        ("left", 0.009, BALL, 0.4),  # beyond the axis, over the contact's radius
+        ("right", 0.009, BALL, -0.2),
+        ("top", 0.006, np.inf, 0.2),
+        ("bottom", 0.006, np.inf, 0.15),
+    ],
+)
+def test_force_of_a_contact_cut_off_by_the_edge_is_in_its_interval(noisy, side, depth, ball, cut):
+    """Ball and plate by the meridian's equations: pressure continues where nothing is seen."""
+    noise_m, solver = noisy
+    exact, surface = oracle(depth, ball)
+    image = depth_image_of(surface, np.zeros_like(surface.nodes), noise_m)
+    radius_px = CAMERA.intrinsics.fx * exact.contact_radius_m / np.nanmin(image)
+    hidden = FROM_MIDDLE_PX[side] > cut * radius_px
+    estimate, _ = solver.estimate(np.where(hidden, np.nan, image))
+    away = estimate.force_n - [0.0, 0.0, -exact.force_n]
+    assert estimate.status == "ok"
+    assert estimate.seen_share < 0.9
+    assert np.linalg.norm(away) < 0.08 * exact.force_n
+    assert (np.abs(away) < 1.96 * estimate.force_sigma_n).all()
