@@ -26,7 +26,6 @@ from bubbleviz.recordings import AUTO, Frame, gas_warning, has_returns, metres
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
-from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of
 from bubbleviz.zeros import ImageZero, PressureZero, Zeros, camera_moved
 
@@ -259,12 +258,6 @@ def refuse_frictionless_shear(pipeline: Pipeline) -> None:
         )
 
 
-_COARSE = (
-    "depth in the {where} is rounded to whole millimetres, more than the camera's noise averages "
-    "out: light touches may be off by more than their intervals; use 32FC1 in m, or a finer unit"
-)
-
-
 class FrameSolver:
     """Solves frames one after the other, for `Estimator`, recordings and streams.
 
@@ -288,14 +281,11 @@ class FrameSolver:
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._touched, self._moved = 0, 0  # frames with contact; of which the camera has moved
         self._partly_seen, self._least_seen = 0, 1.0  # contacts that the camera sees a share of
-        self._coarse: bool | None = None  # whether depth is rounded by more than the noise hides
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
         """The products of the next frame."""
         self._measured_pa = self._measured_pa or frame.gas_pressure_pa
-        if self._coarse is None and has_returns(frame.depth_m):
-            self._coarse = _is_coarse(frame.depth_m, self.pipeline.model)
         with self._blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
             zeroed = self.zeros.zeroed(frame, self.pipeline)
             result = self.pipeline.process(zeroed, self._products, self._options)
@@ -323,7 +313,6 @@ class FrameSolver:
             self._drift_warning(),
             self._friction_warning(),
             self._edge_warning(),
-            _COARSE.format(where=where) if self._coarse else "",
         )
         return [text for text in found if text]
 
@@ -427,22 +416,6 @@ def _least_friction(result: Result) -> float:
     normal = float(np.linalg.norm(patch.force_n - patch.tangential_force_n))
     friction = float(np.linalg.norm(patch.tangential_force_n))
     return (friction - estimate.force_half_width_n) / normal if normal else math.nan
-
-
-def _is_coarse(depth_m: np.ndarray, model: SensorModel) -> bool:
-    """Whether an image (H, W) is in whole millimetres, with too little noise to average them.
-
-    Of a value with Gaussian noise σ that is rounded to a step q, the mean is off by up to
-    q/π exp(−2 π² σ²/q²): by 0.04 q for σ = q/3, from where on it rises steeply.
-    """
-    millimetres = 1e3 * depth_m[np.isfinite(depth_m)]
-    if np.abs(millimetres - np.rint(millimetres)).max() > 0.01:
-        return False
-    if model.pixels is not None:
-        noise_m = float(np.median(model.pixels.noise_m[model.pixels.mask]))
-    else:
-        noise_m = model.sensor.camera.noise_relative * float(np.nanmedian(model.view.rest_range))
-    return noise_m < 1e-3 / 3.0
 
 
 def _camera_warning(pipeline: Pipeline, where: str) -> str:

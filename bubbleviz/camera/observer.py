@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
+from scipy import ndimage, sparse
 
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel, UsedPixels
@@ -39,10 +39,10 @@ class BlockSquares:
         blocks: np.ndarray,  # (B,) int, numbers of the blocks, row by row over the image
         columns: int,  # blocks in a row of the image
     ) -> None:
-        self._side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
+        self.side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
         row, column = np.divmod(blocks, columns)
         # (B,) int, number of the square of each
-        self.of_block = (row // self._side) * columns + column // self._side
+        self.of_block = (row // self.side) * columns + column // self.side
 
     def noise_factor(
         self,
@@ -56,7 +56,7 @@ class BlockSquares:
         """
         square = self.of_block[block]
         sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
-        full = count >= 0.5 * self._side**2
+        full = count >= 0.5 * self.side**2
         if not full.any():
             return 1.0
         return float(median(np.abs(sums[full]) / np.sqrt(count[full])) / MAD)
@@ -84,6 +84,9 @@ is a block mean beyond 4 σ, which a single pixel at 60 m can cause."""
 _MAX_WALK = 0.5
 """Largest motion of nodes, in mesh edges, since all rays were cast; beyond, they are cast again."""
 
+_MILLIMETRE, _WHOLE = 1e-3, 0.01
+"""Unit of depth images of 16 bit, m, and the distance from a whole one that is no rounding."""
+
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
 """Pixels checked for outliers per independent sample, and about how many of an image: with these a
 share of 1e-3 is determined to a fifth of it."""
@@ -99,6 +102,8 @@ class Measured:
     # that times the residual, 1/m
     total: np.ndarray
     moment: np.ndarray
+    # variance of the block means due to rounding of the depth to millimetres, (B,), m², or 0
+    rounding_m2: np.ndarray | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -162,6 +167,7 @@ class RangeObserver:
         self._squares = BlockSquares(self.block_number, self.columns)
         self._sample = self._used.of(self._whole_blocks())
         correlated = 1.0 if pixels is None else pixels.correlated_pixels
+        self._noise_m = float(np.median(1.0 / np.sqrt(self._used.precision)))
         apart = max(1.0, correlated / _OUTLIER_PIXELS, len(self.pixel) / _MAX_OUTLIER_PIXELS)
         self._spread = self._used.of(self._every_nth(int(np.sqrt(apart))))
         rows = max(500, 200_000 // block**2)
@@ -274,7 +280,8 @@ class RangeObserver:
         if holes.size:
             total = total.copy()
             total[holes], moment[holes] = self._sums_of(holes, depth_m)
-        return Measured(depth_m, noise, total / noise**2, moment / noise**2)
+        rounding = self._rounding_variance(total, moment) if self._is_rounded(depth_m) else 0.0
+        return Measured(depth_m, noise, total / noise**2, moment / noise**2, rounding)
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a measurement; `expected_m` as in `observe`."""
@@ -287,21 +294,57 @@ class RangeObserver:
             if outliers > _OUTLIER_SHARE * np.count_nonzero(squares >= 0.0):
                 affected = np.arange(self.blocks)
             else:
-                affected = self._outlying_blocks(total, moment, expected_m)
+                affected = self._outlying_blocks(measured, expected_m)
             if affected.size:
                 robust = self._sums_of(affected, measured.depth_m, expected, measured.noise)
                 total, moment = total.copy(), moment.copy()
                 total[affected], moment[affected] = robust / measured.noise**2
                 share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
-        return Observation(mean, self._weight(total), share)
+        return Observation(mean, self._weight(total, measured.rounding_m2), share)
 
-    def _outlying_blocks(
-        self, total: np.ndarray, moment: np.ndarray, expected_m: np.ndarray
-    ) -> np.ndarray:
+    def _is_rounded(self, depth_m: np.ndarray) -> bool:
+        """Whether most depths are whole millimetres, as in images of 16 bit."""
+        some = depth_m.ravel()[self._spread.number[::16]] / _MILLIMETRE
+        away = np.abs(some - np.rint(some))
+        away = away[~np.isnan(away)]
+        return bool(len(away)) and float(median(away)) < _WHOLE
+
+    def _rounding_variance(self, total: np.ndarray, moment: np.ndarray) -> np.ndarray:
+        """Variance of the block means (B,) due to rounding of the depth z to millimetres, m².
+
+        The error is Σ ± sin(2πkz) / πk, in millimetres. It averages out over a block, or over a
+        square of blocks, where z varies by a millimetre in it, and by the camera's noise. Elsewhere
+        neighbouring blocks have the same error: this is the variance of a square's mean, times the
+        number of its blocks, and at least that of the block. z is the measured one, which the mean
+        over squares makes smooth.
+        """
+        side, (row, column) = self._squares.side, np.divmod(self.block_number, self.columns)
+        seen, depth = np.zeros((2, row.max() + 1, self.columns))
+        known = (total > 0.0) & np.isfinite(self._rest_range)
+        seen[row, column] = known
+        range_m = self._rest_range[known] + moment[known] / total[known]
+        depth[row[known], column[known]] = range_m / self.image_errors[known, 0] / _MILLIMETRE
+        share = np.maximum(ndimage.uniform_filter(seen, side), side**-2.0)
+        smooth = ndimage.uniform_filter(depth, side) / share
+        down, right = np.gradient(smooth)
+        own, common = np.zeros((2, *smooth.shape))
+        for k in (1, 2, 3):
+            left = seen * np.exp(-2.0 * (np.pi * k * self._noise_m / _MILLIMETRE) ** 2) / k
+            left *= np.sinc(k * down) * np.sinc(k * right)
+            own += left**2
+            for wave in (np.cos, np.sin):
+                common += ndimage.uniform_filter(left * wave(2.0 * np.pi * k * smooth), side) ** 2
+        variance = np.maximum(own, common * side**2 / share)[row, column]
+        return np.asarray(variance * _MILLIMETRE**2 / (2.0 * np.pi**2))
+
+    def _outlying_blocks(self, measured: Measured, expected_m: np.ndarray) -> np.ndarray:
         """Blocks whose means differ from a model (B,) by more than noise, (j,) int."""
-        sigma_m = 1.0 / np.sqrt(self._weight(np.maximum(total, np.finfo(float).tiny)))
-        return np.flatnonzero(np.abs(moment - total * expected_m) > _OUTLIER * sigma_m * total)
+        total, moment = measured.total, measured.moment
+        weight = self._weight(np.maximum(total, np.finfo(float).tiny), measured.rounding_m2)
+        return np.flatnonzero(
+            np.abs(moment - total * expected_m) > _OUTLIER * total / np.sqrt(weight)
+        )
 
     def _sums_of(
         self,
@@ -349,9 +392,9 @@ class RangeObserver:
         """Noise-free observation of the untouched membrane by all pixels in use."""
         return Observation(np.zeros_like(self._total), self._weight(self._total), 1.0)
 
-    def _weight(self, precision: np.ndarray) -> np.ndarray:
+    def _weight(self, precision: np.ndarray, rounding: np.ndarray | float = 0.0) -> np.ndarray:
         """1/σ² of the block means: noise averages out over pixels, errors of facets do not."""
-        return precision / (1.0 + precision * self._facet_error_m**2)
+        return precision / (1.0 + precision * (self._facet_error_m**2 + rounding))
 
     def _visible_at_rest(self, hits: Hits) -> Hits:
         return hits.of(np.isfinite(self._rest_range[hits.ray]))

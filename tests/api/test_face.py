@@ -130,16 +130,6 @@ def test_summary_says_that_the_linear_model_overstates_rubber(frames, sensor, es
     assert "prestretch" not in bv.estimate(frames[:1], rubber).to_text()
 
 
-def test_depth_rounded_by_more_than_the_noise_hides_gives_a_warning(frames, sensor):
-    rounded = [replace(each, depth_m=np.round(each.depth_m, 3)) for each in frames]
-    fine, noisy = (
-        changed(bv.load_sensor(sensor), camera={"noise_relative": sigma}) for sigma in (1e-3, 0.01)
-    )
-    assert "rounded to whole millimetres" in (bv.estimate(rounded, fine).warning or "")
-    for images, own in ((rounded, noisy), (list(frames), fine)):
-        assert "rounded" not in (bv.estimate(images, own).warning or "")
-
-
 def test_a_contact_that_the_camera_sees_in_part_gives_a_warning(frames, sensor, estimated):
     _, column = np.unravel_index(
         np.nanargmax(frames[0].depth_m - frames[TOUCHING[0]].depth_m), frames[0].depth_m.shape
