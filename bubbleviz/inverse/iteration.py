@@ -454,7 +454,7 @@ def _was_linear(
 
 def _seen_share(seen: np.ndarray, area: np.ndarray) -> float:
     """Share of an area of nodes (n,) whose facets are seen."""
-    return float(area @ seen / area.sum()) if area.any() else np.nan
+    return 1.0 - float(area @ ~seen / area.sum()) if area.any() else np.nan
 
 
 def _flow_fit(step: Step, flow: FlowResidual | None, noise: Noise) -> FlowFit:
