@@ -1,0 +1,25 @@
+"""A frame whose noise factor and friction scales repeat: each leads to the other for ever."""
+
+import pytest
+
+from tests.inverse.test_rubber_estimator import depth_image_of, error, estimator, pressed
+
+
+def test_a_frame_is_solved_once_its_settings_repeat(monkeypatch):
+    """In this one they do, after nine steps; without the rule three more would follow."""
+    noise_m, (mesh, contact) = 5e-4, pressed("cylinder", 0.007)
+    solver = estimator(relative=noise_m / 0.065)
+    image, shapes = depth_image_of(mesh, contact.displacement_3d_m, noise_m), []
+    around = solver.observer.around
+
+    def counted(nodes, *last):
+        shapes.append(nodes)
+        return around(nodes, *last)
+
+    monkeypatch.setattr(solver.observer, "around", counted)
+    estimate, start = solver.estimate(image)
+    assert len(shapes) < 10
+    assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
+    again, _ = solver.estimate(image, start=start)
+    assert error(again, estimate.force_n) < 0.01
+    assert again.resolution_m == pytest.approx(estimate.resolution_m, rel=0.05)
