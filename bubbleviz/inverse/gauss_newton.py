@@ -28,7 +28,7 @@ from bubbleviz.inverse.measurements import (
 from bubbleviz.inverse.noise import Noise
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
 from bubbleviz.inverse.resolution import sampled, universal_threshold
-from bubbleviz.inverse.response import Bubble, Tangent
+from bubbleviz.inverse.response import BALANCED_MOTION, Bubble, Tangent
 from bubbleviz.membrane import Gas, connected_parts, grown, parts_with
 
 TANGENT_REUSE, LARGE_MOTION, MAX_STEP = 0.2, 0.5, 2.0
@@ -170,7 +170,7 @@ class GaussNewton:
         self.image_prior = ImageErrors(np.zeros_like(image_sigma), np.diag(image_sigma**2))
         edge = self.mesh.edge_length
         self._reuse_m, self._large_m = TANGENT_REUSE * edge, LARGE_MOTION * edge
-        self._max_step_m = MAX_STEP * edge
+        self._max_step_m, self._balanced_m = MAX_STEP * edge, BALANCED_MOTION * edge
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
         image = self.image_prior.mean
@@ -273,7 +273,8 @@ class GaussNewton:
         )
         began = time.perf_counter()
         near = friction_scales is not None
-        contact = self._contact(tangent, measurements, state, gas, rounds, near, observed.seen)
+        hidden = self._hidden(observed)
+        contact = self._contact(tangent, measurements, state, gas, rounds, near, hidden)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
@@ -356,7 +357,7 @@ class GaussNewton:
         gas: float | None,
         rounds: int,
         near: bool,
-        seen: np.ndarray,
+        hidden: np.ndarray,
     ) -> ContactPressure:
         problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
@@ -372,8 +373,8 @@ class GaussNewton:
 
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)
-        if rounds:
-            continued = self._continued(selection.support, seen)
+        if rounds and near:  # far from the solution it would be a larger contact than seen
+            continued = self._continued(selection.support, hidden)
             selection = replace(selection, support=continued)
         contact = problem.solve_debiased(selection, touches)
         significant = contact.pressure > 0.0
@@ -383,14 +384,25 @@ class GaussNewton:
             return contact
         return problem.solve_debiased(replace(selection, support=significant), touches)
 
-    def _continued(self, support: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        """Support (n,) bool of contacts that continue where no node is `seen` (n,) bool.
+    def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
+        """Nodes (n,) bool where an image shows nothing, neither of the shape nor of it at rest.
+
+        What only the shape hides, such as the wall around a plate, is not hidden by the image.
+        """
+        at_rest = self._view_at_rest
+        measured = observed.observation.weight[at_rest.block] > 0.0
+        hidden = ~(observed.seen | self.mesh.rim)
+        hidden[self.mesh.triangles[at_rest.hits.triangle[measured]]] = False
+        return hidden
+
+    def _continued(self, support: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+        """Support (n,) bool of contacts that continue at `hidden` nodes, as of `_hidden`.
 
         The edge of the image, or of a hole in it, is not the edge of the contact, and the L1 term
         selects no node that has no measurement. A contact may continue there by its own diameter.
         How much pressure there is follows from smoothness and from the membrane around.
         """
-        mesh, hidden = self.mesh, ~(seen | self.mesh.rim)
+        mesh = self.mesh
         if not (hidden & grown(mesh.rings, support)).any():
             return support
         continued, nodes = np.zeros_like(support), np.flatnonzero(support)
@@ -398,8 +410,8 @@ class GaussNewton:
         for number in range(count):
             own = np.zeros_like(support)
             own[nodes[part == number]] = True
-            if (own & seen).any():
-                own &= seen
+            if (own & ~hidden).any():
+                own &= ~hidden
                 diameter_m = 2.0 * np.sqrt(mesh.areas[own].sum() / np.pi)
                 for _ in range(round(diameter_m / mesh.edge_length)):
                     own |= hidden & grown(mesh.rings, own)
@@ -436,13 +448,14 @@ class GaussNewton:
         need not be one under a part of a pressure (the object prescribes positions, not pressures);
         the shape is then the linearised one, and the next step balances it.
         """
-        share = min(1.0, self._max_step_m / max(float(np.abs(contact.motion).max()), 1e-300))
+        length_m = float(np.abs(contact.motion).max())
+        share = min(1.0, self._max_step_m / max(length_m, 1e-300))
         pressure = state.pressure + share * (contact.pressure - state.pressure)
         linear, inside = state.x + share * contact.motion, gas
         if gas is not None:
             inside = state.gas + share * (gas + float(contact.amplitudes[0]) - state.gas)
         friction = nuisances.force(contact.amplitudes)
-        x, balanced = linear, state is self.rest and not contact.motion.any()
+        x, balanced = linear, state.balanced and length_m <= self._balanced_m
         if share == 1.0 and not balanced:
             x, balanced, tangent = self.bubble.equilibrium(
                 tangent, linear, pressure, inside, friction
@@ -461,14 +474,16 @@ class GaussNewton:
         """Tangent near a state: the last one where it is near enough.
 
         That is within `TANGENT_REUSE`, or the length of the step that led to the state: the next
-        one then corrects what that step's own linearisation missed, which is of the same order.
+        one then corrects what that step's own linearisation missed, which is of the same order. Not
+        of a step from rest: a dented membrane yields to friction otherwise than one at rest.
         """
         measured = gas is not None
         if state is self.rest:
             return self._rest_tangent[measured]
         if last is not None and last.with_gas is not measured:
             away_m = float(np.abs(state.x - last.x).max())
-            if away_m <= max(step_m * (last is not self._rest_tangent[measured]), self._reuse_m):
+            from_rest = last is self._rest_tangent[measured]
+            if away_m <= (self._reuse_m if from_rest else max(step_m, self._reuse_m)):
                 return last
         return self.bubble.linearised(state.x, state.pressure, state.gas if measured else None)
 

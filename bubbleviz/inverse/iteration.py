@@ -144,7 +144,8 @@ class Iteration:
        alternate between two supports for ever. Parts of the contact that are not significant are
        left out: they explain noise by a few nodes that depend on the frames before, and change
        the force by up to 3 %. Friction and errors of the whole image are fitted only near the
-       solution, where they cannot explain errors of the linearisation. Optical flow counts only
+       solution (after a step to an equilibrium that was not cut off), where they hardly explain
+       errors of the linearisation. Optical flow counts only
        there, and only with a contact: no unknown but friction explains motion along the membrane.
     3. Once the shape has converged, select the support again, until it is complete.
     4. Update the noise factor, by which the image is weighted, from the residual of each step

@@ -25,7 +25,7 @@ from bubbleviz.membrane import (
     symmetric_lu,
 )
 
-_BALANCED_MOTION = 2e-3
+BALANCED_MOTION = 2e-3
 """Tolerance of equilibrium: motion of a node by the last Newton step over the mesh edge, a tenth of
 that below which a frame has converged."""
 _NEWTON, _FRESH = 16, 2
@@ -324,7 +324,7 @@ class Bubble(ABC):
             motion = tangent.motion(-residual)
             length = float(np.abs(motion).max()) / edge
             x = x + motion / max(1.0, length)
-            if length < _BALANCED_MOTION:
+            if length < BALANCED_MOTION:
                 return x, True, tangent
         return x, False, tangent
 

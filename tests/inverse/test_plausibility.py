@@ -47,15 +47,18 @@ def test_a_plane_that_is_no_pressed_dome_is_refused(depth_m):
 
 
 def test_a_plane_across_the_dome_is_a_large_plate():
-    """29 mm deep: it carries the pressure of the gas, by the volume of the cap that is gone."""
+    """29 mm deep: it carries the pressure of the gas, by the volume of the cap that is gone.
+
+    And more, as the image shows the plane up to its edges, where the cap has ended.
+    """
     solver, radius, depth = estimator(), (0.075**2 + 0.05**2) / 0.1, 0.029
     found, gas = first(solver, image(0.125)), solver.bubble.gas
     gone = np.pi * depth**2 * (radius - depth / 3.0)
     assert found.status == "ok"
     pressure = gas.P0 * gas.V0 / (gas.V0 - gone) - gas.P0
-    assert found.gas_pressure_change_pa == pytest.approx(pressure, rel=0.15)
+    assert 1.0 <= found.gas_pressure_change_pa / pressure <= 1.2
     area = np.pi * (2.0 * radius * depth - depth**2)
-    assert -found.force_n[2] == pytest.approx((GAUGE + pressure) * area, rel=0.2)
+    assert 1.0 <= -found.force_n[2] / ((GAUGE + pressure) * area) <= 1.2
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
