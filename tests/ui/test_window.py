@@ -438,3 +438,20 @@ class LayoutRequests(QObject):
     def eventFilter(self, _, event):
         self.count += event.type() == QEvent.Type.LayoutRequest
         return False
+
+
+def test_a_low_panel_that_floats_is_opened_again_as_it_was(drive):
+    driver = drive()
+    driver.resize(1300, 800)
+    panels = driver.window.panels
+    driver.show("images")
+    panels["images"].setFloating(True)
+    panels["images"].close()
+    panels["images"].resize(500, 100)
+    driver.show("images")
+    low = panels["images"].height()
+    assert low < panels["images"].sizeHint().height() / 2
+    driver.show("plots")  # the others are placed again
+    driver.wait_until_shown()
+    assert panels["images"].isFloating() and panels["images"].height() == low
+    assert not driver.window.tabifiedDockWidgets(panels["playback"])

@@ -100,9 +100,9 @@ class Dock(QDockWidget):
 
     @property
     def too_low(self) -> bool:
-        """Whether it was opened since this was asked last, and got too little height."""
+        """Whether it was opened in the window since this was asked last, with too little height."""
         opened, self._opened = self._opened and self._in_front, False
-        return opened and self.height() < self.needed
+        return opened and not self.isFloating() and self.height() < self.needed
 
     def event(self, event: QEvent) -> bool:
         """Follow the size hint of the panel."""
