@@ -77,6 +77,8 @@ def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sen
             here.process(frame, DEPTH_PRODUCTS, OPTIONS),
         )
         assert process.lost == "" and a.frame.depth_m is frame.depth_m
+        assert a.frame.gas_sigma_pa == b.frame.gas_sigma_pa == 0.0
+        assert a.frame.gas_pressure_pa == pytest.approx(b.frame.gas_pressure_pa)
         assert set(a.times_ms) == set(b.times_ms)
         assert a.estimate.status == b.estimate.status
         for one, two in (
