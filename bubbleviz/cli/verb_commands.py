@@ -42,8 +42,6 @@ def _simulate(
     poses = path or pose
     if poses is None:
         raise click.UsageError("give --pose, or --path for a pose in every frame")
-    if options["noise_sigma_m"] and options["noise_relative"]:
-        raise click.UsageError("give either --noise-sigma or --noise-relative, not both")
     options["drag_m"] += 1e-3 * drag_mm
     options["twist_rad"] += radians(twist_deg)
     press = bv.simulate(sensor, object, poses, **options)

@@ -55,17 +55,29 @@ def test_path_of_poses_gives_frames_and_ground_truth(sensor_file, tmp_path):
     recording.close()
 
 
+def depths(sensor_file, folder, *options):
+    folder.mkdir()
+    output_of(*words_of(sensor_file, folder, "--object", "sphere", "--pose", POSE, *options))
+    recording = Recording(folder / "out.mcap")
+    depth = recording[0].depth_m
+    recording.close()
+    return depth
+
+
 def test_noise_is_reproducible_by_seed(sensor_file, tmp_path):
-    images = []
-    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
-        (tmp_path / name).mkdir()
-        arguments = ("--object", "sphere", "--pose", POSE, "--noise-sigma", 0.001, "--seed", seed)
-        output_of(*words_of(sensor_file, tmp_path / name, *arguments))
-        recording = Recording(tmp_path / name / "out.mcap")
-        images.append(recording[0].depth_m)
-        recording.close()
+    images = [
+        depths(sensor_file, tmp_path / name, "--noise-sigma", 0.001, "--seed", seed)
+        for name, seed in (("a", 1), ("b", 1), ("c", 2))
+    ]
     np.testing.assert_array_equal(images[0], images[1])
     assert np.nanstd(images[0] - images[2]) > 5e-4
+
+
+def test_squares_of_absolute_and_relative_noise_add(sensor_file, tmp_path):
+    quiet = depths(sensor_file, tmp_path / "quiet")
+    both = depths(sensor_file, tmp_path / "both", "--noise-sigma", 0.001, "--noise-relative", 0.02)
+    wanted = np.sqrt(np.nanmean(0.001**2 + (0.02 * quiet) ** 2))
+    assert np.nanstd(both - quiet) == pytest.approx(wanted, rel=0.1)
 
 
 @pytest.mark.parametrize(
