@@ -250,11 +250,6 @@ class Press:
     push_n: np.ndarray  # (k, 3), force of the object on each node
     on_face: np.ndarray  # (m,) bool, triangles that touch faces of the object, and no edge
 
-    @property
-    def force_n(self) -> np.ndarray:
-        """Of the object on the membrane, (3,)."""
-        return self.push_n.sum(axis=0)
-
 
 class PressedMembrane:
     """Presses one object into a membrane at successive poses."""
@@ -292,7 +287,9 @@ class PressedMembrane:
         part = self._around(contact)
         friction = midway(contact.friction_pa, part.ends) * part.mesh.areas[:, None]
         if self._last is not None:
-            start = _extrapolated(self._last, T_B_O, self._options.max_step_m)
+            motion = motion_between(self._last.T_B_O, T_B_O, self._last.center)
+            step = self._limited(np.einsum("q,qni->ni", motion, self._last.slopes))
+            start = self._last.nodes + step
             self._last = self._solve(part, start, T_B_O, contact.center, friction, gas)
         if self._last is None:
             self._object.reset()
@@ -335,14 +332,17 @@ class PressedMembrane:
                 )
             except RuntimeError:  # singular
                 return None
-            step = tangent.moved(missed[None])[0]
-            longest = float(np.abs(step).max())
-            step *= min(1.0, self._options.max_step_m / max(longest, 1e-300))
+            step = self._limited(tangent.moved(missed[None])[0])
             self._object.expect(touching, step)
             x = x + step
-            if longest < self._options.converged_m:
+            if np.abs(step).max() < self._options.converged_m:
                 return _pressed(part, x, T_B_O, center, touching, tangent)
         return None
+
+    def _limited(self, step: np.ndarray) -> np.ndarray:
+        """A step (k, 3) of the nodes, shortened to the longest one allowed."""
+        longest_m = float(np.abs(step).max())
+        return step * min(1.0, self._options.max_step_m / max(longest_m, 1e-300))
 
 
 def _pressed(
@@ -364,11 +364,3 @@ def _pressed(
     on_face[touching.triangle[touching.edge]] = False
     slopes = tangent.moved(pulls)
     return Press(T_B_O, center, part, x, slopes[:6], slopes[6], touching.push(n), on_face)
-
-
-def _extrapolated(press: Press, T_B_O: np.ndarray, longest_m: float) -> np.ndarray:
-    """Nodes (k, 3) of a membrane after its object moved to another pose, to first order."""
-    motion = motion_between(press.T_B_O, T_B_O, press.center)
-    step = np.einsum("q,qni->ni", motion, press.slopes)
-    share = min(1.0, longest_m / max(float(np.abs(step).max()), 1e-300))
-    return press.nodes + share * step

@@ -6,7 +6,7 @@ around them, which cannot be inside the object. `image_fit` uses the whole depth
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -131,9 +131,11 @@ class ObjectDistance:
     place: np.ndarray
     over: np.ndarray  # (k,) bool, over a face (else outside its outline)
 
-    def of(self, some: slice) -> ObjectDistance:
-        """Distances of some of the points."""
-        return ObjectDistance(*(getattr(self, field.name)[some] for field in fields(self)))
+    def split(self, count: int) -> tuple[ObjectDistance, ObjectDistance]:
+        """Distances of the first points and of the others."""
+        parts = zip(*(np.split(each, [count]) for each in vars(self).values()), strict=True)
+        first, rest = (ObjectDistance(*part) for part in parts)
+        return first, rest
 
 
 def object_distance(model: ObjectSurface, points: np.ndarray, T_B_O: np.ndarray) -> ObjectDistance:
@@ -316,7 +318,7 @@ class Registration:
         (T, distance), scale = begun, widest_m
         history = []
         for _ in range(iterations):
-            on, free = _split(contact, distance)
+            on, free = distance.split(len(contact.points))
             history.append(np.array(_agreement(contact, on)[:2]))
             total = self._surface(contact, share_m2, on, scale)
             total += self._outside(contact, share_m2, on, scale)
@@ -333,7 +335,7 @@ class Registration:
 
     def _finished(self, contact: ContactPoints, at: _At, history: list[np.ndarray]) -> Fit:
         T, distance = at
-        on, free = _split(contact, distance)
+        on, free = distance.split(len(contact.points))
         fitness, rmse, count = _agreement(contact, on)
         surface = self._surface(contact, contact.areas_m2, on, _NARROWEST_M)
         outline = self._outside(contact, contact.areas_m2, on, _NARROWEST_M)
@@ -381,14 +383,6 @@ class Registration:
         J = -rows(distance.gradient[used], contact.free[used], contact.center)
         weight = self.precision.per_area * contact.free_areas_m2[used]
         return _Term.of(J, depth[used], weight, 2.0 * _NARROWEST_M)
-
-
-def _split(
-    contact: ContactPoints, distance: ObjectDistance
-) -> tuple[ObjectDistance, ObjectDistance]:
-    """Distances of contact points and of free points."""
-    count = len(contact.points)
-    return distance.of(slice(count)), distance.of(slice(count, None))
 
 
 def _agreement(contact: ContactPoints, distance: ObjectDistance) -> tuple[float, float, int]:
