@@ -47,7 +47,7 @@ solver. Intervals do without it: else friction of the size of its noise would be
 three cases."""
 WIDEST = 1.0, 1.0
 """Scales without evidence."""
-_SAME_SCALE = 0.15
+_SAME_SCALE = 0.1
 """Change of the amplitudes, in their standard deviations, below which a scale has converged: far
 below what an interval shows. Chosen."""
 

@@ -82,12 +82,13 @@ def test_table_has_the_forces_of_the_window_also_with_colour(drive, monkeypatch,
 
     by_depth = shown()
     message, force = exported("depth.csv")
-    assert force == pytest.approx(by_depth, rel=2e-3) and "forces by" not in message
+    assert "forces by" not in message
     bench.show("shear")
     bench.wait(lambda: bench.result.traction is not None)
     bench.wait_until_shown()
     changed = abs(shown() - by_depth)
     assert changed > 5e-3 * by_depth
+    assert abs(force - by_depth) < changed / 3
     message, force = exported("colour.csv")
     assert abs(force - shown()) < changed / 3 and "by depth and colour" in message
     bench.release()
