@@ -48,7 +48,7 @@ def check_number(option: str, value: object, lowest: float, highest: float = inf
         raise InputError(f"{option} {value}: give a finite number {limits}")
 
 
-def check_limit(option: str, seconds: float | None) -> None:
+def check_seconds(option: str, seconds: float | None) -> None:
     """Refuse what is neither None, for no limit, nor a time of 0 s or more. Raises InputError."""
     if seconds is not None:
         check_number(option, seconds, 0.0)

@@ -280,7 +280,7 @@ class FrameSolver:
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._touched, self._moved = 0, 0  # frames with contact; of which the camera has moved
-        self._partly_seen, self._least_seen = 0, 1.0  # contacts that the camera sees a share of
+        self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
@@ -369,9 +369,9 @@ class FrameSolver:
             return ""
         return (
             f"the camera sees only a part of the contact in {count_of(self._partly_seen, 'frame')} "
-            f"(at least {100 * self._least_seen:.0f} % of its area); the force on the rest follows "
-            "from the membrane around it and is less certain. Press nearer to the middle of the "
-            "image"
+            f"({100 * self._least_seen:.0f} % of its area or more); the force on the unseen part "
+            "is inferred from the membrane around it and less certain. Press nearer to the middle "
+            "of the image"
         )
 
     def _sensor_warning(self, where: str) -> str:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from bubbleviz.api.summary import Summary
-from bubbleviz.errors import InputError, check_limit
+from bubbleviz.errors import InputError, check_seconds
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, refuse_input, restore_on_error
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
@@ -96,7 +96,7 @@ def record(
     InputError
         The source or the file cannot be opened, nothing arrived, or writing failed.
     """
-    check_limit("--duration", duration_s)
+    check_seconds("--duration", duration_s)
     stream = open_stream(source, _simulated(sensor), any_size=True)
     recorder = Recorder()
     recorder.listen_to(stream)
@@ -233,7 +233,7 @@ def publish(
     """
     from bubbleviz.live import ZenohPublisher  # not needed by `record`
 
-    check_limit("--duration", duration_s)
+    check_seconds("--duration", duration_s)
     place = zenoh_place(listen, connect, credentials)
     sent: Counter[str] = Counter()
     live = open_stream(source, _simulated(sensor), any_size=True).source

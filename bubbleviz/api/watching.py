@@ -21,7 +21,7 @@ from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary
 from bubbleviz.diagnostics import ShearSummary, shear_line
-from bubbleviz.errors import InputError, check_limit
+from bubbleviz.errors import InputError, check_seconds
 from bubbleviz.live import (
     STOPPED_AFTER_S,
     LatencyMeter,
@@ -183,7 +183,7 @@ def watch(
     InputError
         The source, the file or the endpoint cannot be opened, or no depth image arrived.
     """
-    check_limit("--duration", duration_s)
+    check_seconds("--duration", duration_s)
     place = None
     if listen is not None or connect is not None:
         place = zenoh_place(listen, connect, credentials)

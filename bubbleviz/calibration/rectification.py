@@ -13,7 +13,9 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import robust_sigma
 
 _TOLERANCE = 3.0  # standard deviations of a sample beyond the outermost levels
-_LARGEST_SPREAD = 0.1  # of the gains of a camera's pixels, as standard deviation
+_LARGEST_SPREAD = 0.1
+"""Largest standard deviation of pixels' gains that the fit accepts; chosen: those of depth cameras
+differ by some percent. A pixel five times as far from 1 is stuck, or sees something else."""
 
 
 def rectify(

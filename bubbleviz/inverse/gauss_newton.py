@@ -273,8 +273,7 @@ class GaussNewton:
         )
         began = time.perf_counter()
         near = friction_scales is not None
-        hidden = self._hidden(observed)
-        contact = self._contact(tangent, measurements, state, gas, rounds, near, hidden)
+        contact = self._contact(tangent, measurements, state, observed, gas, rounds, near)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
@@ -354,10 +353,10 @@ class GaussNewton:
         tangent: Tangent,
         measurements: Measurements,
         state: State,
+        observed: LinearisedFrame,
         gas: float | None,
         rounds: int,
         near: bool,
-        hidden: np.ndarray,
     ) -> ContactPressure:
         problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
@@ -373,21 +372,21 @@ class GaussNewton:
 
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)
-        if rounds and near:  # far from the solution it would be a larger contact than seen
-            continued = self._continued(selection.support, hidden)
+        if rounds and near:  # with it from the first step on, fewer frames converge
+            continued = self._continued(selection.support, observed)
             selection = replace(selection, support=continued)
         contact = problem.solve_debiased(selection, touches)
-        significant = contact.pressure > 0.0
-        if near:
-            significant = significant_contact(self.mesh, contact)
+        if not near:
+            return contact
+        significant = significant_contact(self.mesh, contact)
         if np.array_equal(significant, contact.pressure > 0.0):
             return contact
         return problem.solve_debiased(replace(selection, support=significant), touches)
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
-        """Nodes (n,) bool where an image shows nothing, neither of the shape nor of it at rest.
+        """Nodes (n,) bool that an image shows neither at the present shape nor at rest.
 
-        What only the shape hides, such as the wall around a plate, is not hidden by the image.
+        What only the shape hides, such as the wall around a plate, is not among them.
         """
         at_rest = self._view_at_rest
         measured = observed.observation.weight[at_rest.block] > 0.0
@@ -395,14 +394,14 @@ class GaussNewton:
         hidden[self.mesh.triangles[at_rest.hits.triangle[measured]]] = False
         return hidden
 
-    def _continued(self, support: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-        """Support (n,) bool of contacts that continue at `hidden` nodes, as of `_hidden`.
+    def _continued(self, support: np.ndarray, observed: LinearisedFrame) -> np.ndarray:
+        """Support (n,) bool of contacts that continue at `_hidden` nodes.
 
         The edge of the image, or of a hole in it, is not the edge of the contact, and the L1 term
         selects no node that has no measurement. A contact may continue there by its own diameter.
         How much pressure there is follows from smoothness and from the membrane around.
         """
-        mesh = self.mesh
+        mesh, hidden = self.mesh, self._hidden(observed)
         if not (hidden & grown(mesh.rings, support)).any():
             return support
         continued, nodes = np.zeros_like(support), np.flatnonzero(support)
