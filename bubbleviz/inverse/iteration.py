@@ -175,6 +175,7 @@ class Iteration:
         self._noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
         self._friction_scales = start.friction_scales if self._warm else WIDEST
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
+        self._raised: list[Noise] = []  # factors that a step before convergence was raised from
         self._settings: list[tuple[Noise, tuple[float, float]]] = []  # of converged solutions
         self._near = self._warm  # the errors of the linearisation are small
         self._following = self._observe(by_flow=True) if self._warm else None
@@ -330,12 +331,23 @@ class Iteration:
             if done or first_guess:
                 self._noises.append(self._noise if done else Noise(np.inf, np.inf))
                 self._selections = self._steps = self._stalled = self._settling = 0
+            else:
+                updated = self._unrepeated(updated)
             self._noise = updated
         early = self._steps < _SELECTING_STEPS
         self._selecting = converged or self._settling > 0 or self._large or first_guess or early
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
+
+    def _unrepeated(self, updated: Noise) -> Noise:
+        """Noise factors of a step before convergence, not lowered to some it was raised from twice.
+
+        Two factors, each with its own support, could alternate for ever.
+        """
+        if updated > self._noise:
+            (self._noises if self._noise in self._raised else self._raised).append(self._noise)
+        return self._noise if updated < self._noise and updated in self._noises else updated
 
     def _alternates(self) -> bool:
         """Whether noise factors and friction scales repeat for ever, and these are the largest."""
