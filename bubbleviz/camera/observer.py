@@ -87,6 +87,8 @@ _MAX_WALK = 0.5
 _MILLIMETRE, _WHOLE = 1e-3, 0.01
 """Unit of depth images of 16 bit, m, and the distance from a whole one that is no rounding."""
 
+_FALSE = 6.0  # distance in σ beyond which a return is false, not noise, besides the slope's part
+
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
 """Pixels checked for outliers per independent sample, and about how many of an image: with these a
 share of 1e-3 is determined to a fifth of it."""
@@ -172,7 +174,7 @@ class RangeObserver:
         self._spread = self._used.of(self._every_nth(int(np.sqrt(apart))))
         rows = max(500, 200_000 // block**2)
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
-        self._gaussian_scatter = _scatter(gaussian)
+        self._gaussian_scatter = float(median(_from_median(gaussian).ravel()))
         noise_m = np.median(1.0 / np.sqrt(self._total))
         self.white = pixels is None and bool(noise_m > 2.0 * self._facet_error_m)
         """Whether residuals should be white: noise of the sensor file, above the mesh's error."""
@@ -269,8 +271,14 @@ class RangeObserver:
         return self.weigh(self.measure(depth_m), expected_m)
 
     def measure(self, depth_m: np.ndarray) -> Measured:
-        """Sums over the blocks, and the noise of the image by its scatter within blocks."""
-        noise = self._noise_scale(depth_m)
+        """Sums over the blocks, and the noise of the image by its scatter within blocks.
+
+        False returns count as none: pixels far from the median of their block.
+        """
+        noise, false_returns = self._scatter(depth_m)
+        if false_returns:
+            depth_m = self._without_false_returns(depth_m, noise)
+            noise, _ = self._scatter(depth_m)
         if self._used.line is None:
             moment = self._to_moments @ depth_m.ravel() - self._moment_at_rest
         else:
@@ -374,19 +382,40 @@ class RangeObserver:
         """Sums (B,) over each block of values (k,) of the pixels."""
         return np.add.reduceat(values, self._starts).astype(float)
 
-    def _noise_scale(self, depth_m: np.ndarray) -> float:
-        """Factor by which this frame is noisier than expected, at least 1.
+    def _scatter(self, depth_m: np.ndarray) -> tuple[float, bool]:
+        """Factor by which this frame is noisier than expected, at least 1; any false returns.
 
-        From the scatter of pixels about their block's median. Less scatter than σ is not taken
+        From the scatter of some pixels about their block's median. Less scatter than σ is not taken
         for less noise: a filter may have smoothed the image.
         """
         if not len(self._sample.number):
-            return 1.0
-        z = self._sample.residuals(depth_m) * np.sqrt(self._sample.precision)
-        z = z.reshape(-1, self.block**2)
-        z = z[~np.isnan(z.sum(axis=1))]
-        scatter = _scatter(z) if len(z) else 0.0
-        return max(1.0, scatter / self._gaussian_scatter)
+            return 1.0, False
+        root = np.sqrt(self._sample.precision).reshape(-1, self.block**2)
+        away = _from_median(self._sample.residuals(depth_m).reshape(root.shape) * root)
+        known = away[~np.isnan(away)]
+        if not len(known):
+            return 1.0, False
+        noise = max(1.0, float(median(known)) / self._gaussian_scatter)
+        return noise, bool((away > self._limit(root, noise)).any())
+
+    def _limit(self, root: np.ndarray, noise: float) -> np.ndarray:
+        """Distance from the median of a block beyond which a return is false, in σ, for 1/σ.
+
+        Within a block, half as wide as a mesh edge, the membrane varies by less than that edge.
+        """
+        limit: np.ndarray = root * np.float32(self.mesh.edge_length) + _FALSE * noise
+        return limit
+
+    def _without_false_returns(self, depth_m: np.ndarray, noise: float) -> np.ndarray:
+        """Depth image (H, W) with NaN in pixels far from the median of their block."""
+        used, place = self._used, np.arange(len(self.pixel)) - np.repeat(self._starts, self._count)
+        root = np.sqrt(used.precision)
+        z = np.full((self.blocks, int(self._count.max())), np.nan, np.float32)
+        z[used.block, place] = used.residuals(depth_m) * root
+        false = _from_median(z)[used.block, place] > self._limit(root, noise)
+        kept = depth_m.copy()
+        kept.ravel()[used.number[false]] = np.nan
+        return kept
 
     def observe_everything(self) -> Observation:
         """Noise-free observation of the untouched membrane by all pixels in use."""
@@ -450,9 +479,14 @@ class RangeObserver:
         return ShapeRanges(hits.ray, model, jacobian, hits, cast_at, nodes)
 
 
-def _scatter(values: np.ndarray) -> float:
-    """Median distance from the median of the row; half of the values may be outliers."""
-    return float(median(np.abs(values - median(values)[:, None]).ravel()))
+def _from_median(values: np.ndarray) -> np.ndarray:
+    """Distances of values (b, k), some NaN, from the median of their row; half may be outliers."""
+    ordered = np.sort(values, axis=1)  # NaN last
+    count = np.count_nonzero(~np.isnan(ordered), axis=1)
+    row, last = np.arange(len(values)), np.maximum(count - 1, 0)
+    middle = 0.5 * (ordered[row, last // 2] + ordered[row, np.minimum(count // 2, last)])
+    distance: np.ndarray = np.abs(values - middle[:, None])
+    return distance
 
 
 def _huber_weights(squares: np.ndarray) -> np.ndarray:

@@ -154,6 +154,15 @@ def test_an_object_that_moves_is_not_averaged(speed_mm):
     assert images(averaged(Recorded(noisy(depths)))) == [1] * 7
 
 
+def test_false_returns_do_not_hide_that_an_object_moves():
+    """Of 1 % of the pixels, as of a D405."""
+    frames, random = noisy(6.0 + 0.6 * np.arange(-3, 4)), np.random.default_rng(3)
+    for frame in frames:
+        false = random.random(frame.depth_m.shape) < 0.01
+        frame.depth_m[false] = random.uniform(0.02, 0.3, np.count_nonzero(false))
+    assert images(averaged(Recorded(frames))) == [1] * 7
+
+
 def test_contact_that_begins_ends_the_mean():
     depths = (6.0,) * 8 + (7.0,) * 8
     frames, moved = averaged(Recorded(noisy(depths))), exact(6.0) - exact(7.0) > 5e-4
