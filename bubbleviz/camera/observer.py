@@ -84,8 +84,9 @@ is a block mean beyond 4 σ, which a single pixel at 60 m can cause."""
 _MAX_WALK = 0.5
 """Largest motion of nodes, in mesh edges, since all rays were cast; beyond, they are cast again."""
 
-_MILLIMETRE, _WHOLE = 1e-3, 0.01
-"""Unit of depth images of 16 bit, m, and the distance from a whole one that is no rounding."""
+_MILLIMETRE, _WHOLE, _LOST = 1e-3, 0.01, 0.5
+"""Unit of depth images of 16 bit, m, and in this unit the distance from a whole number that is no
+rounding, and the noise by which rounding averages out: its first harmonic is reduced to 0.7 %."""
 
 _FALSE = 6.0  # distance in σ beyond which a return is false, not noise, besides the slope's part
 
@@ -312,7 +313,9 @@ class RangeObserver:
         return Observation(mean, self._weight(total, measured.rounding_m2), share)
 
     def _is_rounded(self, depth_m: np.ndarray) -> bool:
-        """Whether most depths are whole millimetres, as in images of 16 bit."""
+        """Whether most depths are whole millimetres, as in images of 16 bit, and noise is less."""
+        if self._noise_m > _LOST * _MILLIMETRE:
+            return False
         some = depth_m.ravel()[self._spread.number[::16]] / _MILLIMETRE
         away = np.abs(some - np.rint(some))
         away = away[~np.isnan(away)]
