@@ -88,7 +88,9 @@ _MILLIMETRE, _WHOLE, _LOST = 1e-3, 0.01, 0.5
 """Unit of depth images of 16 bit, m, and in this unit the distance from a whole number that is no
 rounding, and the noise by which rounding averages out: its first harmonic is reduced to 0.7 %."""
 
-_FALSE = 6.0  # distance in σ beyond which a return is false, not noise, besides the slope's part
+_FALSE, _AROUND = 6.0, 2
+"""Distance in σ beyond which a return is false, not noise, besides the slope's part; and blocks on
+either side of one whose median it is compared with: together at most five mesh edges away."""
 
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
 """Pixels checked for outliers per independent sample, and about how many of an image: with these a
@@ -410,14 +412,25 @@ class RangeObserver:
         return limit
 
     def _without_false_returns(self, depth_m: np.ndarray, noise: float) -> np.ndarray:
-        """Depth image (H, W) with NaN in pixels far from the median of their block."""
+        """Depth image (H, W) with NaN in pixels far from the median of their block.
+
+        Also in blocks far from the median of those around, within a mesh edge on either side.
+        """
         used, place = self._used, np.arange(len(self.pixel)) - np.repeat(self._starts, self._count)
-        root = np.sqrt(used.precision)
-        z = np.full((self.blocks, int(self._count.max())), np.nan, np.float32)
-        z[used.block, place] = used.residuals(depth_m) * root
-        false = _from_median(z)[used.block, place] > self._limit(root, noise)
+        residual_m, root = used.residuals(depth_m), np.sqrt(used.precision)
+        of_block = np.full((self.blocks, int(self._count.max())), np.nan, np.float32)
+        of_block[used.block, place] = residual_m
+        middle_m = _row_median(of_block)
+        row, column = np.divmod(self.block_number, self.columns)
+        image = np.full((row.max() + 1 + 2 * _AROUND, self.columns + 2 * _AROUND), np.nan)
+        image[row + _AROUND, column + _AROUND] = middle_m
+        side = 2 * _AROUND + 1
+        around = np.lib.stride_tricks.sliding_window_view(image, (side, side))[row, column]
+        around_m = _row_median(around.reshape(-1, side**2))
+        far = np.abs(middle_m - around_m) > side * self.mesh.edge_length
+        lone = np.abs(residual_m - middle_m[used.block]) * root > self._limit(root, noise)
         kept = depth_m.copy()
-        kept.ravel()[used.number[false]] = np.nan
+        kept.ravel()[used.number[lone | far[used.block]]] = np.nan
         return kept
 
     def observe_everything(self) -> Observation:
@@ -482,13 +495,18 @@ class RangeObserver:
         return ShapeRanges(hits.ray, model, jacobian, hits, cast_at, nodes)
 
 
-def _from_median(values: np.ndarray) -> np.ndarray:
-    """Distances of values (b, k), some NaN, from the median of their row; half may be outliers."""
+def _row_median(values: np.ndarray) -> np.ndarray:
+    """Median (b,) of each row of values (b, k), some NaN; half may be outliers."""
     ordered = np.sort(values, axis=1)  # NaN last
     count = np.count_nonzero(~np.isnan(ordered), axis=1)
     row, last = np.arange(len(values)), np.maximum(count - 1, 0)
-    middle = 0.5 * (ordered[row, last // 2] + ordered[row, np.minimum(count // 2, last)])
-    distance: np.ndarray = np.abs(values - middle[:, None])
+    middle: np.ndarray = ordered[row, last // 2] + ordered[row, np.minimum(count // 2, last)]
+    return 0.5 * middle
+
+
+def _from_median(values: np.ndarray) -> np.ndarray:
+    """Distances of values (b, k), some NaN, from the median of their row."""
+    distance: np.ndarray = np.abs(values - _row_median(values)[:, None])
     return distance
 
 

@@ -171,6 +171,20 @@ def test_false_returns_are_none_without_a_model_too(share):
     np.testing.assert_allclose(seen.residual_m, true.residual_m, atol=1e-9)
 
 
+def test_false_returns_of_whole_blocks_are_none_too():
+    """In patches of nine by nine pixels, three hundredths of the image in all."""
+    displacement, rng = smooth_dent(0.008), np.random.default_rng(2)
+    ranges = MembraneView(CAMERA, MESH).range_image(displacement)
+    observer = RangeObserver(CAMERA, MESH, 0.002, block=4)
+    depth = CAMERA.depth_image(ranges * (1 + 0.002 * rng.standard_normal(ranges.shape)))
+    for row, column in zip(rng.integers(0, 162, 14), rng.integers(0, 215, 14), strict=True):
+        depth[row : row + 9, column : column + 9] = rng.uniform(0.02, 0.05)
+    seen = observer.observe(depth.astype(np.float32))
+    used = seen.weight > 0
+    assert np.mean(used) > 0.95
+    assert np.abs((seen.residual_m - at(observer, displacement))[used]).max() < 0.002
+
+
 def test_outliers_among_correlated_pixels_have_little_weight_too():
     """A fifth of the image, in squares, is off; few pixels are looked at to find that out."""
     displacement = smooth_dent(0.008)
