@@ -7,7 +7,7 @@ import math
 import os
 import shutil
 from collections.abc import Generator, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from hashlib import sha256
 from multiprocessing.connection import wait
@@ -426,7 +426,10 @@ def _locked(out: Path, jobs: list[Job], local: bool) -> Iterator[None]:
                 if local:
                     _discard_unfinished(jobs)
                 raise
-            _discard_unfinished(jobs)  # of workers that died
+            else:
+                _discard_unfinished(jobs)  # of workers that died
+            finally:
+                (out / _LOCK).unlink(missing_ok=True)
     except PermissionError as error:
         raise cannot_write(out, error) from error
 
@@ -436,12 +439,13 @@ def _lock(descriptor: int, out: Path) -> None:
         import fcntl  # not on Windows
     except ImportError:
         return
-    try:
+    with suppress(BlockingIOError):
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise InputError(
-            f"{out}: another batch is writing there; wait until it ends, or choose another folder"
-        ) from None
+        if os.fstat(descriptor).st_nlink:  # else a batch that ended has removed it meanwhile
+            return
+    raise InputError(
+        f"{out}: another batch is writing there; wait until it ends, or choose another folder"
+    )
 
 
 def _discard_unfinished(jobs: list[Job]) -> None:

@@ -165,7 +165,7 @@ def compare(
     sensor
         As in `estimate`.
     other_sensor : str, path or Sensor, optional
-        Sensor file or preset of `other`; by default the same as for `first`.
+        Sensor file or preset of the second one; by default that of the first.
     align : {"time", "contact"}
         time: since both began; contact: since their first frame with contact.
     out : path, optional

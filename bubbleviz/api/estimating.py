@@ -279,7 +279,7 @@ def track(
     sensor, solver, friction, zero_gas, timeout_s, progress
         As in `estimate`.
     init : str or (4, 4) array, optional
-        T_B_O in the first frame, as a str "x y z qx qy qz qw"; by default it is searched.
+        T_B_O in the first frame, "x y z qx qy qz qw"; by default it is searched.
     unit : {"m", "mm"}, optional
         Unit of the object's mesh file; by default mm if its name ends in `_mm`, else m.
     object_patch : bool

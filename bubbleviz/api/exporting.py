@@ -74,7 +74,7 @@ def export(
     sensor, kappa, solver, friction, shear, colour_delay_s, progress
         As in `estimate`; with `shear`, tables and the LeRobot dataset have slip.
     what : str or sequence of str
-        Files for the folder, separated by commas in a str: table, parquet, plots, lerobot (dataset
+        Files for the folder, separated by commas: table, parquet, plots, lerobot (dataset
         of one episode, v3.0), vtk (ParaView), ply, patch (points with pressure), depth, pressure
         (pictures; png for both).
     poses : path, optional

@@ -82,7 +82,7 @@ class Watcher:
 
     def step(self, timeout_s: float) -> Result | None:
         """Solve the newest frame; None if none arrived in time."""
-        frame = self.stream.take(0.0 if self._first else timeout_s) or self._first
+        frame = self.stream.take_after(self._first, 0.0 if self._first else timeout_s)
         self._first = None
         if frame is None:
             return None

@@ -37,7 +37,7 @@ as large. Chosen; eight times the noise of the sensor file has a misfit of 0.05.
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
         "no_data": "too few depth pixels lie on the membrane or on the contact; uncover the "
-        "camera, or check the sensor file",
+        "camera, check the sensor file, or see bubbleviz info for damaged images",
         "not_converged": "the solver did not converge; look at the residual in the window, or try "
         "another --solver",
         "implausible": "depths do not fit this membrane; check sensor file and unit of depth",

@@ -214,7 +214,7 @@ class LiveStream:
         patience_s = self.patience_s if patience_s is None else patience_s
         began, camera_by, frame = time.monotonic(), math.inf, None
         while True:
-            frame = self.take(POLL_S) or frame
+            frame = self.take_after(frame, POLL_S)
             now, ended = time.monotonic(), self.ended
             if frame is not None:
                 camera_by = min(camera_by, now + camera_s)
@@ -243,6 +243,15 @@ class LiveStream:
                 return frame
             if ended or time.monotonic() >= deadline:
                 return None
+
+    def take_after(self, held: Frame | None, timeout_s: float = 0.0) -> Frame | None:
+        """As `take`, or else `held`, a frame taken before but not used; a newer one skips it."""
+        frame = self.take(timeout_s)
+        if frame is None or held is None:
+            return frame or held
+        with self._changed:
+            self._skipped += 1
+        return frame
 
     def _take(self, timeout_s: float) -> Frame | None:
         with self._changed:

@@ -55,7 +55,12 @@ def table_of(out):
 def hidden_in(out):
     """Temporary files and folders, some of which may go while they are listed."""
     there = [name for _, folders, files in os.walk(out) for name in (*folders, *files)]
-    return [name for name in there if name.startswith(".") and name != ".batch.lock"]
+    return [name for name in there if name.startswith(".")]
+
+
+def unfinished_in(out):
+    """Whether a result is being written, or was when its writer was killed."""
+    return bool({*hidden_in(out)} - {".batch.lock"})
 
 
 def lives(process):
@@ -196,7 +201,7 @@ def test_killed_in_the_middle_then_resumed(
     words = [recordings, "--sensor", sensor, "--out", out, "--jobs", "1"]
     running = begin(*words)
     # The others are done, the long one has begun.
-    eventually(lambda: all((out / name).is_dir() for name in NAMES) and bool(hidden_in(out)))
+    eventually(lambda: all((out / name).is_dir() for name in NAMES) and unfinished_in(out))
     os.killpg(running.pid, signal.SIGSTOP)  # else a slow machine might find the long one done
     workers = psutil.Process(running.pid).children(recursive=True)
     assert workers
@@ -205,7 +210,7 @@ def test_killed_in_the_middle_then_resumed(
     running.communicate()
     eventually(lambda: not any(lives(worker) for worker in workers))
     assert not (out / long_recording.name).exists()
-    assert hidden_in(out)  # killed: nobody could tidy up
+    assert unfinished_in(out)  # killed: nobody could tidy up
 
     kept = {name: (out / name / "result.npz").stat().st_mtime_ns for name in NAMES}
     statuses = resumed(*words)
@@ -218,7 +223,7 @@ def test_killed_in_the_middle_then_resumed(
 def test_interrupt_leaves_complete_files(recordings, sensor, long_recording, tmp_path, eventually):
     out = tmp_path / "out"
     running = begin(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
-    eventually(lambda: bool(hidden_in(out)) and (out / NAMES[2]).is_dir())
+    eventually(lambda: unfinished_in(out) and (out / NAMES[2]).is_dir())
     os.killpg(running.pid, signal.SIGINT)  # as ^C does: everybody gets it
     _, said = running.communicate(timeout=240)
     assert running.returncode == 130
@@ -237,7 +242,7 @@ def test_second_batch_in_the_same_folder_is_refused(
     out = tmp_path / "out"
     words = [recordings, "--sensor", sensor, "--out", out]
     running = begin(*words)
-    eventually(lambda: bool(hidden_in(out)))
+    eventually(lambda: unfinished_in(out))
     os.killpg(running.pid, signal.SIGSTOP)  # it cannot end before the other one begins
     done = batch(*words, "--resume")
     os.killpg(running.pid, signal.SIGKILL)
@@ -258,7 +263,7 @@ def test_crashed_process_loses_only_its_own_recording(
     me = psutil.Process()
 
     def kill_when_it_works():
-        eventually(lambda: bool(hidden_in(tmp_path)))
+        eventually(lambda: unfinished_in(tmp_path))
         for child in me.children():
             if "--multiprocessing-fork" in child.cmdline():
                 child.kill()

@@ -27,6 +27,7 @@ from wire import (
     gas,
 )
 
+from bubbleviz.api.watching import Watcher
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
@@ -108,6 +109,18 @@ def test_only_the_newest_frame_is_delivered_and_skipped_ones_counted(small_senso
         assert stream.counters.skipped >= 25
     images = [message.sequence for message in seen if message.type == IMAGE]
     assert images == list(range(len(images)))  # who listens misses none
+
+
+def test_every_frame_is_counted_as_solved_or_skipped(small_sensor, eventually):
+    """Also the first one, from which the solver was built while newer ones arrived."""
+    stream = open_stream("synthetic:?rate=200&frames=3", small_sensor)
+    with stream:
+        watcher = Watcher.on(stream, small_sensor)
+        eventually(lambda: stream.counters.frames > 5)
+        solved = sum(watcher.step(1.0) is not None for _ in range(3))
+    left = stream.take() is not None  # of the last frame nobody has asked
+    counters = stream.counters
+    assert counters.frames == solved + counters.skipped + left
 
 
 def test_a_waiting_listener_does_not_block_readers(small_sensor):
