@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from numbers import Real
 from pathlib import Path
@@ -279,7 +279,8 @@ class FrameSolver:
         self._measured_pa: float | None = None
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
-        self._touched, self._moved = 0, 0  # frames with contact; of which the camera has moved
+        self._statuses: Counter[str] = Counter()
+        self._moved = 0  # frames with contact in which the camera has moved
         self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
@@ -292,11 +293,11 @@ class FrameSolver:
             self.zeros.follow(frame, result, self.pipeline)
             if self.texture is not None:
                 self.texture.take(result)
+        if result.estimate is not None:
+            self._statuses[result.estimate.status] += 1
         if result.estimate is not None and result.estimate.image_errors is not None:
             self._image_errors.append(result.estimate.image_errors.mean)
-            touched = result.estimate.status == "ok"
-            self._touched += touched
-            self._moved += touched and camera_moved(result)
+            self._moved += result.estimate.status == "ok" and camera_moved(result)
         if result.estimate is not None and result.estimate.seen_share < 1.0:
             self._partly_seen += 1
             self._least_seen = min(self._least_seen, result.estimate.seen_share)
@@ -310,11 +311,23 @@ class FrameSolver:
         """Warnings about the frames so far; `where` they are from: recording or source."""
         found = (
             self._sensor_warning(where),
+            self._fit_warning(),
             self._drift_warning(),
             self._friction_warning(),
             self._edge_warning(),
         )
         return [text for text in found if text]
+
+    def _fit_warning(self) -> str:
+        """Warning if nothing shows that the sensor file fits, and frames contradict it."""
+        misfits = self._statuses["implausible"]
+        if not misfits or self._statuses["no_contact"]:
+            return ""
+        return (
+            f"{count_of(misfits, 'frame')} and the sensor file do not fit together, and no frame "
+            "without contact does, so forces of the others may be wrong: run bubbleviz check with "
+            "contact-free frames"
+        )
 
     def _drift_warning(self) -> str:
         """Warning if depth images drift; else empty.
@@ -324,7 +337,7 @@ class FrameSolver:
         """
         if not self._image_errors:
             return ""
-        if self._moved > max(1, 0.02 * self._touched):
+        if self._moved > max(1, 0.02 * self._statuses["ok"]):
             cause, remedy = "", "Let the camera warm up, and check that it is fixed"
             gas = self.zeros.gas
             if self._measured_pa is None or (gas is not None and gas.frozen):
@@ -378,7 +391,7 @@ class FrameSolver:
         """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
         known_pa, zero = self.pipeline.model.gas.P0, self.zeros.gas
         if zero is not None and zero.frozen:
-            gas = zero.frozen_warning(where) if self._touched else ""
+            gas = zero.frozen_warning(where) if self._statuses["ok"] else ""
         elif zero is None or zero.rest_pa is None:
             gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
         else:

@@ -170,6 +170,19 @@ def test_pixels_without_return_may_be_zero(frames, sensor, estimated):
     np.testing.assert_array_equal(as_zero.force_n, as_nan.force_n)
 
 
+def test_contacts_are_doubted_if_untouched_frames_contradict_the_sensor_file(
+    frames, sensor, estimated
+):
+    """A camera tilted by 12° in the file: what does not fit may then look like contact."""
+    half = np.deg2rad(6.0)
+    camera = {"quaternion_xyzw": (0.0, float(np.sin(half)), 0.0, float(np.cos(half)))}
+    run = bv.estimate(frames, changed(bv.load_sensor(sensor), camera=camera))
+    assert set(run.status) == {"implausible", "ok"}
+    misfits = list(run.status).count("implausible")
+    assert f"{misfits} frames and the sensor file do not fit together" in run.warning
+    assert "do not fit together" not in (estimated.warning or "")
+
+
 def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     drifted = [replace(frame, depth_m=frame.depth_m - 1e-3) for frame in frames]
     run = bv.estimate(drifted, sensor)
