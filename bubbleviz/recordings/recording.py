@@ -44,6 +44,7 @@ from bubbleviz.recordings.message_decoding import (
 )
 from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour, half_step_ns
 from bubbleviz.recordings.time_series import (
+    NEAREST_NS,
     VALUES,
     Moment,
     Series,
@@ -303,9 +304,28 @@ class Recording:
             messages = None if topic is None else self.bag.messages(topic)
             if messages:  # an index may list none
                 values = partial(_values, messages, kind)
-                found[kind] = recorded_series(messages, values, by_log=self._by_log)
+                by_log = self._by_log or self._is_of_other_clock(messages)
+                found[kind] = recorded_series(messages, values, by_log=by_log)
                 self.value_topics[kind] = messages.topic.name
         return found
+
+    def _is_of_other_clock(self, messages: Messages) -> bool:
+        """Whether values were logged along with the images but stamped at other times; notes it."""
+        stamps = np.array([messages.stamp_ns(0), messages.stamp_ns(len(messages) - 1)])
+        if not stamps.all() or _overlap(stamps, self.stamps_ns):
+            return False
+        if not _overlap(messages.log_ns, self._log_ns):
+            return False
+        ahead_s = (stamps[0] - self.stamps_ns[0]) * 1e-9
+        what = f"stamps on {messages.topic.name} are of another clock ({ahead_s:+.1f} s)"
+        self.note = "; ".join(filter(None, (self.note, f"{what}: they are matched by log times")))
+        return True
+
+
+def _overlap(one_ns: np.ndarray, other_ns: np.ndarray) -> bool:
+    """Whether two topics have times in common, within what separates a frame from its values."""
+    gap = max(one_ns.min(), other_ns.min()) - min(one_ns.max(), other_ns.max())
+    return bool(gap <= NEAREST_NS)
 
 
 def _values(messages: Messages, kind: str, k: int) -> np.ndarray:

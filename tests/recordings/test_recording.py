@@ -143,6 +143,20 @@ def test_log_times_are_used_without_stamps(tmp_path):
         assert recording[2].gas_pressure_pa == pytest.approx(pressure_at(START + 2 * PERIOD))
 
 
+def test_gas_pressure_stamped_by_another_clock_is_matched_by_log_times(tmp_path):
+    """Its computer's clock is an hour slow."""
+    bag = BagMaker("mcap file")
+    for k in range(4):
+        at = START + k * PERIOD
+        bag.image(at, depth_image(k))
+        bag.pressure(at - 3600 * SECOND, pressure_at(at), log=at)
+    with Recording(bag.write(tmp_path)) as recording:
+        for k in range(4):
+            expected = pressure_at(START + k * PERIOD)
+            assert recording[k].gas_pressure_pa == pytest.approx(expected)
+        assert "stamps on /gas are of another clock (-3600.0 s)" in recording.note
+
+
 @pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
 def test_pressure_beyond_its_range_is_the_nearest_or_none(tmp_path, late_s, found):
     bag = BagMaker("mcap file")
