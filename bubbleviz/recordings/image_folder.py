@@ -83,6 +83,13 @@ class ImageFolder:
         self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
         self._clock_s = self._checked_times(times_s, rate_hz)
         self.times_s = self._clock_s - self._clock_s[0]
+        for kind, each in self._series.items():
+            if all(each.at(self._moment(k)) is None for k in range(len(self))):
+                what = {PRESSURE: "gas pressures", WRENCH: "wrenches"}[kind]
+                raise InputError(
+                    f"{self.path}: none of the {what} has the time of an image; give both times in "
+                    "s by the same clock"
+                )
         self._colour = self._find_colour()
         first = self._pixels(self._files[0])
         self._shape = first.shape
@@ -123,8 +130,7 @@ class ImageFolder:
     def __getitem__(self, index: int) -> Frame:
         """Frame number `index`; IndexError outside 0 … F−1, InputError if it cannot be read."""
         check_index(index, self)
-        time_s, stamp_ns = float(self.times_s[index]), self._stamp_ns(index)
-        moment = Moment(stamp_ns, stamp_ns)
+        time_s, moment = float(self.times_s[index]), self._moment(index)
         colour = None
         if self._colour is not None:
             within_ns = half_step_ns(1e9 * self.times_s)
@@ -134,7 +140,7 @@ class ImageFolder:
             time_s=time_s,
             depth_m=self._depth(self._files[index]),
             intrinsics=self._intrinsics,
-            stamp_ns=stamp_ns,
+            stamp_ns=moment.stamp_ns,
             find_colour=colour,
             **values_at(self._series, moment),
         )
@@ -142,8 +148,9 @@ class ImageFolder:
     def close(self) -> None:
         """Do nothing."""
 
-    def _stamp_ns(self, index: int) -> int:
-        return round(float(self._clock_s[index]) * 1e9)
+    def _moment(self, index: int) -> Moment:
+        stamp_ns = round(float(self._clock_s[index]) * 1e9)
+        return Moment(stamp_ns, stamp_ns)
 
     def _find_colour(self) -> Series[ColourImage] | None:
         """Colour images with the same numbers, from a subfolder."""
@@ -171,7 +178,7 @@ class ImageFolder:
                 f"{folder}: no JPEG or PNG has the same last number in its name as a depth image; "
                 "add or rename colour images, or remove this folder"
             )
-        stamps = [self._stamp_ns(k) for k in frames]
+        stamps = [self._moment(k).stamp_ns for k in frames]
 
         def image(k: int) -> ColourImage:
             read = partial(_read_colour, files[numbers[frames[k]]])
@@ -322,8 +329,9 @@ def _columns(path: str | Path, count: int) -> np.ndarray:
         padded = [(row + ["nan"] * count)[:count] for row in rows]  # short rows are refused below
         table = np.array([[float(value) for value in row] for row in padded])
     if table.ndim != 2 or table.shape[1] != count or not np.isfinite(table).all():
+        finite = count_of(count, "finite number")
         raise InputError(
-            f"{path}: no rows, or a row without {count} finite numbers; write {count} numbers, "
+            f"{path}: no rows, or a row without {finite}; write {count_of(count, 'number')}, "
             "separated by commas, into each row"
         )
     return table

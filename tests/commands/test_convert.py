@@ -268,3 +268,12 @@ def test_invalid_input_gives_one_sentence(spoil, words, tmp_path):
     assert words in converted(images, tmp_path / "out.mcap", *rate)
     assert not (tmp_path / "out.mcap").exists()
     assert not list(tmp_path.glob(".out*"))
+
+
+def test_measurements_by_another_clock_are_refused(tmp_path):
+    """Images counted from 0, gas pressure in seconds since 1970."""
+    images = folder_of(tmp_path / "images", ".npy", ["1", "2", "3"])
+    (tmp_path / "gas.csv").write_text("1700000000,100000\n1700000001,100100\n")
+    beside = ("--rate", 30, "--pressure", tmp_path / "gas.csv")
+    told = converted(images, tmp_path / "out.mcap", *beside)
+    assert "none of the gas pressures has the time of an image" in told
