@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from calibration_bench import Bench, answered
 from PySide6.QtCore import Qt
-from resting import REST, TENSION, RestingSource
+from resting import FRAMES, REST, TENSION, RestingSource
 from window_driver import CTRL
 
 from bubbleviz.recordings import Frame
@@ -18,7 +18,7 @@ PERIOD_S = 1.0 / 60.0
 
 
 class Camera(RestingSource):
-    """New noise in each frame; `stuck` repeats one frame."""
+    """New noise in each frame; `stuck` repeats the image of one frame."""
 
     def __init__(self, sensor):
         super().__init__(sensor, fresh=True, slow_s=PERIOD_S)
@@ -26,16 +26,28 @@ class Camera(RestingSource):
 
     def __getitem__(self, index):
         frame = super().__getitem__(index)
-        return frame if self.stuck is None else replace(frame, depth_m=self.stuck.depth_m)
+        if self.stuck is None:
+            return frame
+        return replace(self.stuck, index=index, time_s=frame.time_s)
 
 
-def test_live_frames_are_collected_until_gamma0_is_precise(drive):
-    bench = Bench(drive(Camera, playing=True, live=True))
+@pytest.fixture
+def camera(sensor):
+    return Camera(sensor)
+
+
+def test_live_frames_are_collected_until_gamma0_is_precise(drive, camera):
+    """From a deep press on, which is implausible and nothing yet shows that the sensor fits."""
+    bench = Bench(drive(lambda _: camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
+    camera.stuck = pressed = camera[FRAMES - 1]
+    bench.wait(lambda: bench.result.estimate.status == "implausible")
     assert not panel.next.isEnabled() and box.isVisible()
     box.count.setValue(400)
     box.target.setValue(5.0)
     bench.click(box.button)
+    bench.wait(lambda: len(box.collector.frames) == 1)
+    camera.stuck = None
     bench.wait(lambda: len(box.collector.frames) >= FIRST_ESTIMATE)
     bench.state.set_playing(False)  # no drawing during the estimate
     bench.wait(lambda: not box.collector.active)
@@ -45,7 +57,9 @@ def test_live_frames_are_collected_until_gamma0_is_precise(drive):
     assert tension.half_width <= 0.05 * tension.value
     assert tension.value == pytest.approx(TENSION, rel=0.02)
     collected = panel.calibration.work.collected
-    assert max(collected[k].index for k in range(len(collected))) < REST + 2  # no contact
+    taken = [collected[k] for k in range(len(collected))]
+    assert all(frame.depth_m is not pressed.depth_m for frame in taken)
+    assert max(frame.index for frame in taken) < REST + 2  # no contact
     bench.undo()
     assert panel.calibration.work.collected is None
 
@@ -74,10 +88,8 @@ def refusals(bench):
     return sum("at least 5" in message.text for message in bench.window.messages.all)
 
 
-def test_collecting_again_replaces_the_frames(drive):
-    cameras = list[Camera]()
-    opened = lambda sensor: cameras.append(Camera(sensor)) or cameras[0]  # noqa: E731
-    bench = Bench(drive(opened, playing=True, live=True))
+def test_collecting_again_replaces_the_frames(drive, camera):
+    bench = Bench(drive(lambda _: camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
     box.count.setValue(8)
     assert box.button.text() == "Collect 8 frames"
@@ -95,7 +107,7 @@ def test_collecting_again_replaces_the_frames(drive):
     assert "until then the 8 frames collected before are in use" in box.message.text()
     bench.click(box.cancel)
     assert panel.calibration.work == work and bench.answer is old
-    cameras[0].stuck = panel.calibration.work.collected[0]
+    camera.stuck = panel.calibration.work.collected[0]
     bench.click(box.button)
     bench.wait(lambda: len(box.collector.frames) > 0)
     bench.click(box.stop)  # too few frames: refused, and the old results are not shown for them
@@ -106,7 +118,7 @@ def test_collecting_again_replaces_the_frames(drive):
     bench.wait(lambda: panel.next.text() == "Try again")
     bench.click(panel.next)
     bench.wait(lambda: refusals(bench) == refused + 1 and panel.next.text() == "Try again")
-    cameras[0].stuck = None
+    camera.stuck = None
     bench.collect(9)
     bench.wait(lambda: len(bench.answer.found.samples.frames) == 9)
     new = bench.answer

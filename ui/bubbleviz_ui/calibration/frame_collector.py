@@ -51,7 +51,7 @@ class Collector(QObject):
         self.name, self._sensor = name, sensor
         self._count, self._target, self._only_contact_free = count, target or 0.0, only_contact_free
         self._fits = False
-        self.frames, self.tension, self._estimated_at, self.message = [], None, 0, ""
+        self._begin()
         self.active = True
         self.changed.emit()
 
@@ -60,7 +60,10 @@ class Collector(QObject):
         if not self.active:
             return
         status = result.estimate.status if result.estimate is not None else None
-        self._fits = self._fits or status == "no_contact"
+        if status == "no_contact" and not self._fits:
+            self._fits = True
+            if self._only_contact_free:
+                self._begin()  # frames before were implausible, perhaps of a deep press
         doubtful = self._fits and status in ("implausible", "not_converged")
         if status == "no_data" or (self._only_contact_free and (status == "ok" or doubtful)):
             return
@@ -90,6 +93,10 @@ class Collector(QObject):
     def close(self) -> None:
         self._worker.cancel()
         self._worker.close()
+
+    def _begin(self) -> None:
+        self._worker.cancel()
+        self.frames, self.tension, self._estimated_at, self.message = [], None, 0, ""
 
     def _estimate_if_due(self) -> None:
         many = len(self.frames)
