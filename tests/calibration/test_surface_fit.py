@@ -21,11 +21,7 @@ def cap(axes, outliers=0.0, noise=1e-4, count=6000):
 
 
 @pytest.mark.parametrize(
-    ("fit", "axes", "within"),
-    [
-        (fit_sphere, np.full(3, 0.08), 1e-4),
-        (fit_ellipsoid, AXES, 3e-4),
-    ],
+    ("fit", "axes", "within"), [(fit_sphere, np.full(3, 0.08), 1e-4), (fit_ellipsoid, AXES, 3e-4)]
 )
 def test_fits_survive_outliers(fit, axes, within):
     found = fit(cap(axes, outliers=0.1))

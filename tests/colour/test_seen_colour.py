@@ -56,10 +56,7 @@ def test_second_camera_projects_from_its_own_pose():
     [
         (None, "no colour images of this sensor in a known encoding"),
         (lambda lag_s: None, "no colour image at this time"),
-        (
-            partial(colour_image, data=b"nothing"),
-            "the colour image cannot be read or decoded",
-        ),
+        (partial(colour_image, data=b"nothing"), "the colour image cannot be read or decoded"),
         (
             partial(colour_image, camera=ColourCamera()),
             "the intrinsics of the colour camera are not known",

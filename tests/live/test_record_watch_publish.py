@@ -18,12 +18,7 @@ from benchmarks.window.live_soak import Publisher, free_port, gaps_in, sequences
 from bubbleviz.api.frames import info
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.errors import InputError
-from bubbleviz.live import (
-    SessionOptions,
-    ZenohSource,
-    open_session,
-    open_stream,
-)
+from bubbleviz.live import SessionOptions, ZenohSource, open_session, open_stream
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor
 from tests.program import output_of, refusal, run, start

@@ -5,13 +5,7 @@ import pytest
 from domes import AIR, GAUGE, A, H, dome, plate, pose
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import (
-    Gas,
-    MembraneMesh,
-    RubberForward,
-    RubberMembrane,
-    rubber_forward,
-)
+from bubbleviz.membrane import Gas, MembraneMesh, RubberForward, RubberMembrane, rubber_forward
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import study_object
 from tests.oracles.rubber_oracle import AxialRubber

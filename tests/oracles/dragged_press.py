@@ -8,13 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.errors import SolveError
-from bubbleviz.membrane import (
-    Gas,
-    MembraneMesh,
-    RubberForward,
-    RubberMembrane,
-    refine,
-)
+from bubbleviz.membrane import Gas, MembraneMesh, RubberForward, RubberMembrane, refine
 from bubbleviz.simulation import press_path, study_object, touching_height
 from tests.oracles.stuck_press import ShearTruth
 

@@ -21,11 +21,7 @@ class FlowSighting(NamedTuple):
 
 
 def sighting(
-    camera: DepthCamera,
-    truth: ShearTruth,
-    depth_noise: DepthNoise,
-    flow_sigma_px: float,
-    seed: int,
+    camera: DepthCamera, truth: ShearTruth, depth_noise: DepthNoise, flow_sigma_px: float, seed: int
 ) -> FlowSighting:
     """Depth with noise, and the flow at the centre of every block with white noise."""
     view, intrinsics = MembraneView(camera, truth.mesh), camera.intrinsics

@@ -6,12 +6,7 @@ from scipy.spatial import ConvexHull
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import ObjectSurface, build_mesh
-from bubbleviz.pose import (
-    check_size,
-    contact_samples,
-    object_distance,
-    touching_directions,
-)
+from bubbleviz.pose import check_size, contact_samples, object_distance, touching_directions
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import study_object

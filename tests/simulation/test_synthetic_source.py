@@ -8,11 +8,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation import (
-    DepthNoise,
-    SyntheticSource,
-    default_press,
-)
+from bubbleviz.simulation import DepthNoise, SyntheticSource, default_press
 from tests.small_press import changed
 
 FLAT = np.full((120, 160), 0.15)

@@ -11,14 +11,7 @@ import pytest
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes import WorkerProcess
-from bubbleviz.study.stability import (
-    Case,
-    FailedError,
-    Trial,
-    all_cases,
-    attempt,
-    stability_study,
-)
+from bubbleviz.study.stability import Case, FailedError, Trial, all_cases, attempt, stability_study
 from tests.program import output_of, refusal
 
 

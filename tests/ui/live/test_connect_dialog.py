@@ -11,14 +11,7 @@ from bubbleviz.live import Credentials, SessionOptions, open_session
 from bubbleviz.recordings import AUTO
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live import connect_dialog
-from bubbleviz_ui.live.connect_dialog import (
-    KINDS,
-    PAIR,
-    REALSENSE,
-    REPLAY,
-    ZENOH,
-    ConnectDialog,
-)
+from bubbleviz_ui.live.connect_dialog import KINDS, PAIR, REALSENSE, REPLAY, ZENOH, ConnectDialog
 from tests.live.streams import robot
 from tests.recordings.bagmaker import BagMaker, fill
 
