@@ -5,32 +5,25 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from bubbleviz.recordings import CachedFrames, Frame
+from bubbleviz.recordings import CachedFrames, Frame, HeldFrames
 
 
-class Source:
-    """Four images of 80 bytes, whose reads are counted."""
+class Counted(HeldFrames):
+    """Frames whose reads are counted."""
 
-    name, times_s = "four", np.arange(4.0)
-
-    def __init__(self):
-        self.reads = Counter()
-
-    def __len__(self):
-        return 4
+    def __init__(self, frames):
+        super().__init__(frames)
+        self.reads = Counter[int]()
 
     def __getitem__(self, index):
-        if not 0 <= index < 4:
-            raise IndexError(index)
+        frame = super().__getitem__(index)
         self.reads[index] += 1
-        return Frame(index, float(index), np.full((4, 5), index + 1, np.float32))
-
-    def close(self):
-        pass
+        return frame
 
 
 def test_frames_are_read_once_until_memory_is_used_up():
-    source = Source()
+    """Four of 80 bytes, of which two are kept."""
+    source = Counted([Frame(k, float(k), np.full((4, 5), k + 1, np.float32)) for k in range(4)])
     kept = CachedFrames(source, limit_bytes=2 * 80)
     for _ in range(3):
         assert [kept[k].depth_m[0, 0] for k in range(len(kept))] == [1, 2, 3, 4]

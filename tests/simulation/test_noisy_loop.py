@@ -4,29 +4,17 @@ import numpy as np
 import pytest
 
 from bubbleviz.camera import DepthCamera, Intrinsics
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.simulation import DepthNoise, NoisyLoop
 
 SIGMA = 1e-3
 
 
-class Flat:
-    name, times_s = "flat", np.arange(3) / 30.0
-
-    def __len__(self):
-        return 3
-
-    def __getitem__(self, index):
-        return Frame(index, index / 30.0, np.full((40, 50), 0.1 + 0.01 * index, np.float32))
-
-    def close(self):
-        pass
-
-
 @pytest.fixture
 def rounds():
     camera = DepthCamera(Intrinsics(50, 40, 40.0, 40.0, 25.0, 20.0), np.eye(4))
-    return NoisyLoop(Flat(), camera, DepthNoise(absolute_m=SIGMA))
+    flat = [Frame(k, k / 30.0, np.full((40, 50), 0.1 + 0.01 * k, np.float32)) for k in range(3)]
+    return NoisyLoop(HeldFrames(flat), camera, DepthNoise(absolute_m=SIGMA))
 
 
 def test_noise_matches_the_camera_and_differs_in_every_loop(rounds):
