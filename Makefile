@@ -1,6 +1,6 @@
 # make setup   system libraries where they can be installed, .venv, pinned packages
 # make run     the window on the built-in synthetic sensor; ARGS="open REC" passes arguments
-# make test    the quick tests in two processes; ARGS="-k recording" passes arguments
+# make test    the quick tests in three processes; ARGS="-k recording" passes arguments
 # make test-all  the long ones too: studies, the real press, every command of the pages
 # make lint    ruff, mypy and the order of rooms (import-linter)
 # make docs    the pages into site/, warnings as errors
@@ -15,13 +15,14 @@ run: setup
 	@.venv/bin/bubbleviz $(ARGS)
 
 test test-all: setup
-	.venv/bin/python -m pytest -n 2 --max-worker-restart 0 --dist loadfile \
+	.venv/bin/python -m pytest -n 3 --max-worker-restart 0 --dist loadfile \
 	    --no-loadscope-reorder $(ARGS)
 
 test-all pages: export TEST_ALL = 1
 # Even where the environment forbids it: else every process of a test compiles what it imports
 test test-all pages: export PYTHONDONTWRITEBYTECODE =
-# Two workers on two cores: more threads of linear algebra would only wait for each other
+# On two cores: the third process computes while another waits for a robot or a clock, and more
+# threads of linear algebra would only wait for each other
 test test-all: export OMP_NUM_THREADS = 1
 
 lint: setup
