@@ -22,15 +22,6 @@ from bubbleviz_ui.window_session import Startup
 from tests.program import output_of, refusal, run
 
 
-@pytest.fixture
-def recording(tmp_path):
-    path = tmp_path / "rec.mcap"
-    with RecordingWriter(path) as writer:
-        for k in range(3):
-            writer.write(Frame(k, k / 30.0, np.full((3, 4), 0.1, dtype=np.float32)))
-    return path
-
-
 def test_every_command_has_help():
     names = main.list_commands(click.Context(main))
     assert {"open", "window"} < set(names)
@@ -102,11 +93,6 @@ def test_without_a_library_of_the_window_one_line_says_what_to_install(library):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert library in done.stderr and INSTALL in done.stderr
-
-
-def test_info(recording):
-    assert "3 in 0.067 s, 30.00 Hz" in output_of("info", recording)
-    assert json.loads(output_of("info", recording, "--json"))["frames"] == 3
 
 
 @pytest.mark.parametrize(

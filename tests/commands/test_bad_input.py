@@ -339,18 +339,7 @@ def test_depth_that_never_meets_the_membrane(bench):
         ("record", "--source", "REPLAY", "--out", "REC"),
         ("watch", "--source", "REPLAY", "--sensor", "SENSOR", "--out", "REC"),
     ],
-    ids=[
-        "estimate",
-        "csv",
-        "pose",
-        "export",
-        "convert",
-        "validate",
-        "compare",
-        "report",
-        "record",
-        "watch",
-    ],
+    ids=" ".join,
 )
 def test_an_output_never_replaces_the_recording(bench, words):
     bag = BagMaker("mcap folder")

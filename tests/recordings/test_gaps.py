@@ -9,6 +9,7 @@ from hypothesis import given, strategies as st
 
 from bubbleviz.api.frames import info
 from bubbleviz.recordings import find_gaps
+from tests.program import output_of
 
 
 @given(
@@ -59,13 +60,12 @@ def test_info_of_a_recording(tmp_path):
 
 
 def test_json_and_text_agree(press):
-    facts = info(press)
-    data = json.loads(facts.to_json())
+    data = json.loads(output_of("info", press, "--json"))
     assert data["frames"] == 6
     assert data["gaps"] == 0
     assert {topic["name"] for topic in data["topics"]} >= {"/gas", "/wrench"}
     assert data["intrinsics"]["fx"] == 30.0
-    text = facts.to_text()
+    text = output_of("info", press)
     for part in ("6 in 0.167 s, 30.00 Hz", "no missing frames", "32 × 24 pixels", "kPa absolute"):
         assert part in text
 

@@ -312,6 +312,13 @@ def view_texts(driver):
     ]
 
 
+def colour_bar(driver, quantity):
+    """The colour bar of a quantity."""
+    bars = (prop for prop in vtk_props(driver) if isinstance(prop, vtkScalarBarActor))
+    (bar,) = (bar for bar in bars if quantity in bar.GetTitle())
+    return bar
+
+
 def text_actors(driver):
     """Visible text actors of the 3-D view, the readout's first."""
     found = [prop for prop in vtk_props(driver) if isinstance(prop, vtkTextActor)]

@@ -10,9 +10,8 @@ from fakes import DentSource, record
 from live_bench import IMAGE, messages_by_type, robot_sensor, sensor_file, sensor_pair_preset
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
-from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkAssembly
-from window_driver import vtk_props
+from window_driver import colour_bar, vtk_props
 
 from bubbleviz.recordings import RecordingWriter
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -181,11 +180,6 @@ def test_recording_of_both_sensors_and_return_to_one(open_bench):
 
 def ends_kpa(bench):
     """Upper ends of the pressure scale: of the colour bar, and of both membranes."""
-    (bar,) = (
-        prop
-        for prop in vtk_props(bench)
-        if isinstance(prop, vtkScalarBarActor) and "pressure" in prop.GetTitle()
-    )
     parts = drawing(bench).GetParts()
     (membrane,) = (
         part.GetMapper()
@@ -193,7 +187,8 @@ def ends_kpa(bench):
         if part.GetVisibility() and part.GetMapper().GetArrayName() == Surface.PRESSURE
     )
     own = bench.window.scene.layers["membrane"].actor.mapper
-    return bar.GetLookupTable().GetRange()[1], own.GetScalarRange()[1], membrane.GetScalarRange()[1]
+    bar = colour_bar(bench, "pressure").GetLookupTable()
+    return bar.GetRange()[1], own.GetScalarRange()[1], membrane.GetScalarRange()[1]
 
 
 def test_both_sensors_use_the_scale_of_the_colour_bar_and_untrusted_results_their_colour(

@@ -11,11 +11,11 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from fakes import DentSource, record
+from fakes import FRAMES, DentSource
 from PySide6.QtCore import QPoint
 
 from bubbleviz.errors import InputError
-from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.model.settings import Settings
@@ -28,30 +28,9 @@ from bubbleviz_ui.session_files.session_file import (
 )
 from bubbleviz_ui.window_session import Startup, window_session
 
-FRAMES = 12
 
-
-@pytest.fixture(scope="module")
-def files(tmp_path_factory, sensor):
-    """A folder with a short recording and the file of its sensor."""
-    folder = tmp_path_factory.mktemp("session")
-    record(folder / "press.mcap", DentSource(sensor))
-    (folder / "dome.toml").write_text(sensor_to_toml(sensor))
-    return folder
-
-
-def open_press(driver, files, folder=None, **at):
-    """Open the recording, or a copy of it, in a window."""
-    source = Source.of_recording((folder or files) / "press.mcap")
-    former = driver.window.controller.client.session
-    driver.open("press", source, load_sensor(files / "dome.toml"), playing=False, **at)
-    driver.wait(lambda: driver.window.controller.client.session is not former)
-    driver.wait(lambda: driver.state.facts.frames == FRAMES)
-
-
-def settings(driver, files):
+def change(driver):
     """Change settings of every kind."""
-    open_press(driver, files, frame=7)
     driver.state.change(
         kappa=2.5, speed=0.5, pressure_max_pa=4000.0, cloud_colour="plain", theme="light",
         layers=frozenset({"membrane", "rim"}), plots=frozenset({"force"}),
@@ -65,7 +44,7 @@ def settings(driver, files):
 
 
 def check(driver):
-    """Check that everything changed by `settings` is restored."""
+    """Check that everything changed by `change` is restored."""
     driver.wait(lambda: driver.state.facts.frames == FRAMES)
     state, choices = driver.state, driver.state.settings
     driver.wait_until_shown()
@@ -78,9 +57,12 @@ def check(driver):
     assert driver.window.controller.sensor.name == "small dome"
 
 
-def test_session_file_restores_elsewhere_with_or_without_its_recording(drive, files, tmp_path):
+def test_session_file_restores_elsewhere_with_or_without_its_recording(
+    drive, files, open_press, tmp_path
+):
     mine = drive()
-    settings(mine, files)
+    open_press(mine, frame=7)
+    change(mine)
     mine.window.session_saver.save_as(files / "look.bubbleviz")
     text = (files / "look.bubbleviz").read_text()
     assert str(files) not in text  # no local paths
@@ -131,7 +113,7 @@ def test_unreadable_session_is_renamed(tmp_path):
     assert (tmp_path / "session.unreadable").read_text() == "{"
 
 
-def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, tmp_path):
+def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, open_press, tmp_path):
     driver = drive(frame=3)
     saver, view = driver.window.session_saver, driver.window.view
     assert saver.snapshot().camera is None
@@ -159,7 +141,7 @@ def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, tmp_pa
     driver.window.message.hide()
     window, copy = driver.window, tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", copy)
-    open_press(driver, files, tmp_path, frame=5)
+    open_press(driver, tmp_path, frame=5)
     menu = next(
         a.menu() for a in window.menuBar().actions()[0].menu().actions() if "recent" in a.text()
     )
@@ -172,10 +154,10 @@ def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, tmp_pa
     driver.wait_until_shown()
     assert driver.state.frame == 5 and driver.state.markers == (1,)
     driver.state.set_range((2, 10))
-    open_press(driver, files)  # not applied to another recording of the same name
+    open_press(driver)  # not applied to another recording of the same name
     assert driver.state.facts.title == "press.mcap"
     assert not driver.state.markers and driver.state.play_range is None
-    open_press(driver, files, tmp_path)
+    open_press(driver, tmp_path)
     copy.unlink()
     driver.trigger("File › Reload")
     driver.wait_for_message("press.mcap")

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fakes import DentSource, record, small_sensor
+from fakes import FRAMES, small_sensor
 from live_bench import sensor_file
 from window_driver import run_bubbleviz
 
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import InputError
 from bubbleviz.files import presets_folder
-from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz_ui.engine.source import Source
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,
@@ -25,19 +24,6 @@ from bubbleviz_ui.session_files.session_file import (
 )
 from bubbleviz_ui.window_session import Startup, window_session
 from tests.program import refusal
-
-FRAMES = 12
-
-
-@pytest.fixture
-def files(tmp_path, sensor):
-    """A folder with a short recording, the file of its sensor, and a mesh."""
-    folder = tmp_path / "mine"
-    folder.mkdir()
-    record(folder / "press.mcap", DentSource(sensor))
-    (folder / "dome.toml").write_text(sensor_to_toml(sensor))
-    shutil.copy(presets_folder("objects") / "cylinder.ply", folder / "stamp.ply")
-    return folder
 
 
 @contextmanager
@@ -49,20 +35,15 @@ def start(keep_in=None, saved=None):
         yield session
 
 
-def open_press(driver, files, sensor=None):
-    chosen = sensor or load_sensor(files / "dome.toml")
-    driver.open("press", Source.of_recording(files / "press.mcap"), chosen, frame=8, playing=False)
-    driver.wait(lambda: driver.state.facts.frames == FRAMES)
-
-
 # -- object -------------------------------------------------------------------------------------
 
 
 def test_session_keeps_object_initial_pose_and_tracking_and_reports_a_missing_object(
-    drive, files, tmp_path
+    drive, files, open_press, tmp_path
 ):
+    shutil.copy(presets_folder("objects") / "cylinder.ply", files / "stamp.ply")
     mine = drive()
-    open_press(mine, files)
+    open_press(mine, frame=8)
     mine.window.files.open(files / "stamp.ply")
     pose = mine.window.pose
     mine.wait(lambda: pose.session.obj is not None)
@@ -203,9 +184,9 @@ def test_session_of_a_temporarily_missing_recording_is_kept(qtbot, files, tmp_pa
 
 
 @pytest.mark.long
-def test_the_command_line_opens_a_session(drive, files, tmp_path):
+def test_the_command_line_opens_a_session(drive, files, open_press, tmp_path):
     mine = drive()
-    open_press(mine, files)
+    open_press(mine, frame=8)
     mine.state.set_markers((2,))
     mine.window.session_saver.save_as(files / "look.bubbleviz")
     with start(saved=files / "look.bubbleviz") as session:

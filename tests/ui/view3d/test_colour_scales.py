@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from fakes import FRAMES, DentSource
 from PySide6.QtCore import QPoint, Qt
-from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
-from window_driver import CTRL, Driver, hover, view_texts, vtk_props
+from window_driver import CTRL, Driver, colour_bar, hover, view_texts
 
 from bubbleviz.diagnostics import Numbers
 from bubbleviz_ui.export.exporting import KINDS
@@ -37,12 +36,7 @@ class LongSource(DentSource):
 
 def scale(driver, quantity="pressure"):
     """Upper end of a colour bar, displayed unit."""
-    (bar,) = (
-        prop
-        for prop in vtk_props(driver)
-        if isinstance(prop, vtkScalarBarActor) and quantity in prop.GetTitle()
-    )
-    return bar.GetLookupTable().GetRange()[1]
+    return colour_bar(driver, quantity).GetLookupTable().GetRange()[1]
 
 
 def peak_kpa(driver, frame):
@@ -144,12 +138,8 @@ def test_scale_is_the_same_in_all_frames_of_a_video_and_without_outliers(drive, 
 
 def place_of_bar(driver, quantity):
     """Middle of a colour bar in the view."""
-    (bar,) = (
-        prop
-        for prop in vtk_props(driver)
-        if isinstance(prop, vtkScalarBarActor) and quantity in prop.GetTitle()
-    )
-    (x, y), view = bar.GetPosition(), driver.window.view
+    bar, view = colour_bar(driver, quantity), driver.window.view
+    x, y = bar.GetPosition()
     x, y = x + 0.5 * bar.GetWidth(), y + 0.5 * bar.GetHeight()
     return QPoint(round(x * view.width()), round((1.0 - y) * view.height()))
 
