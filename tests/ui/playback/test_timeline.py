@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from threading import Event
 
 import numpy as np
 import pytest
@@ -224,6 +225,19 @@ def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     assert not driver.state.settings.loop and not panel.loop.isChecked()
 
 
+class HeldSource(DentSource):
+    """Frames can be read while `go_on` is set."""
+
+    def __init__(self, sensor):
+        super().__init__(sensor)
+        self.go_on = Event()
+        self.go_on.set()
+
+    def __getitem__(self, index):
+        self.go_on.wait()
+        return super().__getitem__(index)
+
+
 def test_every_frame_mode_waits_for_the_solver_else_the_drawn_frame_is_indicated(drive, sensor):
     slow = partial(DentSource, slow_s=0.04)  # slower than the fastest speed
     driver = drive(slow)
@@ -236,14 +250,17 @@ def test_every_frame_mode_waits_for_the_solver_else_the_drawn_frame_is_indicated
     assert solved == [*range(1, FRAMES), FRAMES - 1]  # the last one again, as a cold solve
     assert driver.window.controller.dropped == 0
     # without it, the drawn frame is indicated and marked
-    driver.state.change(every_frame=False, speed=1.0)
-    driver.show_source(partial(DentSource, slow_s=0.1), sensor)
-    state, shown = driver.state, driver.window.controller
+    driver.state.change(every_frame=False, speed=1.0, loop=True)
+    source, state, shown = HeldSource(sensor), driver.state, driver.window.controller
+    driver.show_source(lambda _: source, sensor)
     state.set_playing(True)
-    driver.wait(lambda: state.frame > shown.result.frame.index > 0)
+    driver.wait(lambda: shown.result.frame.index > 0)
+    source.go_on.clear()
     before = shown.result.frame.index
+    driver.wait(lambda: state.frame not in (before, shown.result.frame.index))
     driver.key(Qt.Key.Key_M)
     assert len(state.markers) == 1 and state.markers[0] in (before, shown.result.frame.index)
+    source.go_on.set()
     state.set_playing(False)
     driver.wait_until_shown()
     assert state.playhead == state.frame == shown.result.frame.index
