@@ -52,6 +52,14 @@ def few_sampled_frames():
         yield
 
 
+@pytest.fixture(autouse=True)
+def soon_idle():
+    """The solver is idle soon after a request: no test waits for work to be delayed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sensor_client, "IDLE_S", 0.05)
+        yield
+
+
 @pytest.fixture
 def new_window(qtbot, qapp):
     """Create windows without a source; closed after the test."""
