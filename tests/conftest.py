@@ -10,6 +10,7 @@ import time
 import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import settings
@@ -114,28 +115,27 @@ def press(sensor):
     return write_press(sensor.with_name("press.mcap"), sensor)
 
 
-@pytest.fixture
-def certificates(tmp_path):
-    """A folder with certificates of two authorities, one of localhost with its key, and logins."""
+@pytest.fixture(scope="session")
+def tls(tmp_path_factory):
+    """Paths of certificates of two authorities, one of localhost with its key, and logins."""
     if shutil.which("openssl") is None:
         pytest.skip("openssl, which makes the certificates, is not on this machine")
-    folder = tmp_path / "certificates"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("certificates")
     (folder / "names").write_text("subjectAltName=DNS:localhost\n")
     (folder / "login").write_text("ann:secret\n")
     (folder / "stranger").write_text("bob:secret\n")
     new = "req -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes"
     for words in (
-        f"{new} -x509 -keyout ca.key -out ca.pem -days 2 -subj /CN=authority",
-        f"{new} -x509 -keyout other.key -out other.pem -days 2 -subj /CN=other"
+        f"{new} -x509 -keyout ca_key -out ca -days 2 -subj /CN=authority",
+        f"{new} -x509 -keyout other_key -out other -days 2 -subj /CN=other"
         " -addext subjectAltName=DNS:localhost",
-        f"{new} -keyout key.pem -out asked -subj /CN=localhost",
-        "x509 -req -in asked -CA ca.pem -CAkey ca.key -CAcreateserial -extfile names"
-        " -out cert.pem -days 2",
+        f"{new} -keyout key -out asked -subj /CN=localhost",
+        "x509 -req -in asked -CA ca -CAkey ca_key -CAserial serial -CAcreateserial -extfile names"
+        " -out cert -days 2",
     ):
         command = ("openssl", *words.split())
         subprocess.run(command, cwd=folder, check=True, capture_output=True)
-    return folder
+    return SimpleNamespace(**{path.name: str(path) for path in folder.iterdir()})
 
 
 @pytest.fixture

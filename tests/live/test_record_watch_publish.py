@@ -258,33 +258,32 @@ def test_colour_images_are_published_with_the_pose_of_their_camera(tmp_path, sma
 
 @pytest.mark.long
 def test_an_encrypted_endpoint_accepts_certificate_and_password(
-    tmp_path, certificates, eventually, monkeypatch
+    tmp_path, tls, eventually, monkeypatch
 ):
     path, out, port = tmp_path / "rec.mcap", tmp_path / "got.mcap", free_port()
     write_plain(path, 10)
-    endpoint, files = f"tls/localhost:{port}", ("ca.pem", "cert.pem", "key.pem", "login")
-    ca, cert, key, login = (certificates / name for name in files)
+    endpoint = f"tls/localhost:{port}"
     publisher = start(
         *("publish", "--source", f"replay:{path}?loop=1", "--listen", endpoint),
-        *("--cert", cert, "--key", key, "--login", login),
+        *("--cert", tls.cert, "--key", tls.key, "--login", tls.login),
     )
     try:
         eventually(lambda: listens(port))
-        source = f"zenoh:{endpoint}?ca={ca}&login={login}"
+        source = f"zenoh:{endpoint}?ca={tls.ca}&login={tls.login}"
         output_of("record", "--source", source, "--out", out, "--duration", 0.3)
         assert info(out).frames > 0
         monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 2.0)
         auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
         for options, why in (
-            (f"login={login}", "refused: the certificate of localhost is not signed by"),
-            (f"ca={ca}", "if it requires user and password"),
-            (f"ca={ca}&login={certificates / 'stranger'}", "check user and password"),
+            (f"login={tls.login}", "refused: the certificate of localhost is not signed by"),
+            (f"ca={tls.ca}", "if it requires user and password"),
+            (f"ca={tls.ca}&login={tls.stranger}", "and user and password in login="),
         ):
             refused = f"zenoh:{endpoint}?{options}"
             more = ("--out", tmp_path / "no.mcap", "--duration", 0.1)
             for words in (("record", *more), ("watch", *auto), ("watch", *named)):
                 assert why in refusal(*words, "--source", refused)
-        more = ("--connect", endpoint, "--ca", ca, "--duration", 0.1)
+        more = ("--connect", endpoint, "--ca", tls.ca, "--duration", 0.1)
         said = refusal("publish", "--source", "synthetic:", *more)
         assert "if it requires user and password" in said
     finally:

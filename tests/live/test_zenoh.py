@@ -321,32 +321,31 @@ def refusal(small_sensor, eventually):
 
 
 def test_refused_and_unreachable_endpoints_are_distinguished(
-    small_sensor, certificates, eventually, refusal, monkeypatch
+    small_sensor, tls, eventually, refusal, monkeypatch
 ):
     """Zenoh itself reports both as failed connections."""
     monkeypatch.setattr("bubbleviz.live.zenoh_session.TIMEOUT_S", 0.5)
-    files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "login", "stranger")
-    ca, cert, key, other, login, stranger = (str(certificates / name) for name in files)
     port = free_port()
     at = f"tls/localhost:{port}"
-    with open_stream(f"zenoh:{at}?ca={ca}&login={login}", small_sensor) as waits:
+    with open_stream(f"zenoh:{at}?ca={tls.ca}&login={tls.login}", small_sensor) as waits:
         eventually(lambda: waits.source.problem)
         assert waits.status().text.startswith(f"nothing listens at localhost:{port};")
-        with listener(at, Credentials(cert=cert, key=key, login=login)):
+        with listener(at, Credentials(cert=tls.cert, key=tls.key, login=tls.login)):
             eventually(lambda: waits.source.link == "up")
             assert waits.source.problem == ""
             signed = "the certificate of localhost is not signed by"
             give = "give the certificate of its authority as ca="
             assert refusal(at) == f"{signed} an authority that this computer trusts; {give}"
-            assert refusal(at, ca=other) == f"{signed} ca={other}; {give}"
-            assert "not valid for '127.0.0.1'" in refusal(f"tls/127.0.0.1:{port}", ca=ca)
-            assert "in PEM form" in refusal(at, ca=login)
+            assert refusal(at, ca=tls.other) == f"{signed} ca={tls.other}; {give}"
+            assert "not valid for '127.0.0.1'" in refusal(f"tls/127.0.0.1:{port}", ca=tls.ca)
+            assert "in PEM form" in refusal(at, ca=tls.login)
             no_session = f"localhost:{port} answers but opens no Zenoh session; check the port"
             assert (
-                refusal(at, ca=ca) == f"{no_session}; if it requires user and password, give login="
+                refusal(at, ca=tls.ca)
+                == f"{no_session}; if it requires user and password, give login="
             )
-            check = f"{no_session}, and user and password in login={stranger}"
-            assert refusal(at, ca=ca, login=stranger) == check
+            check = f"{no_session}, and user and password in login={tls.stranger}"
+            assert refusal(at, ca=tls.ca, login=tls.stranger) == check
             assert refusal(f"tcp/localhost:{port}").endswith("if it requires encryption, use tls/")
 
 
@@ -357,33 +356,31 @@ def test_an_unknown_host_is_reported(refusal):
     )
 
 
-def test_a_missing_or_wrong_certificate_is_reported(certificates, refusal):
-    files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
-    ca, cert, key, other, other_key = (str(certificates / name) for name in files)
+def test_a_missing_or_wrong_certificate_is_reported(tls, refusal):
     at = f"tls/localhost:{free_port()}"
-    with listener(at, Credentials(ca=ca, cert=cert, key=key)):  # it wants ours, too
+    with listener(at, Credentials(ca=tls.ca, cert=tls.cert, key=tls.key)):  # it wants ours, too
         missing = "if it asks for a certificate of this computer, give cert= and key="
-        assert refusal(at, ca=ca).endswith(missing)
-        assert f"not accept cert={other}," in refusal(at, ca=ca, cert=other, key=other_key)
-    with listener(at, Credentials(cert=other, key=other_key)):
-        assert "is the authority's own" in refusal(at, ca=other)
+        assert refusal(at, ca=tls.ca).endswith(missing)
+        assert f"not accept cert={tls.other}," in refusal(
+            at, ca=tls.ca, cert=tls.other, key=tls.other_key
+        )
+    with listener(at, Credentials(cert=tls.other, key=tls.other_key)):
+        assert "is the authority's own" in refusal(at, ca=tls.other)
 
 
-def test_a_refused_reconnection_is_reported(small_sensor, certificates, eventually, monkeypatch):
+def test_a_refused_reconnection_is_reported(small_sensor, tls, eventually, monkeypatch):
     """The robot restarts with another certificate; then its port is closed."""
     monkeypatch.setattr("bubbleviz.live.zenoh_source.DIAGNOSE_EVERY_S", 0.2)
-    files = ("ca.pem", "cert.pem", "key.pem", "other.pem", "other.key")
-    ca, cert, key, other, other_key = (str(certificates / name) for name in files)
     at = f"tls/localhost:{free_port()}"
-    with open_stream(f"zenoh:{at}?ca={ca}&depth=/quiet", small_sensor) as stream:
-        with listener(at, Credentials(cert=cert, key=key)) as robot:
+    with open_stream(f"zenoh:{at}?ca={tls.ca}&depth=/quiet", small_sensor) as stream:
+        with listener(at, Credentials(cert=tls.cert, key=tls.key)) as robot:
             first_frame(stream, lambda: robot.put("quiet", image(time.time_ns())))
-        with listener(at, Credentials(cert=other, key=other_key)):
+        with listener(at, Credentials(cert=tls.other, key=tls.other_key)):
             eventually(lambda: "is not signed by" in stream.status().text)
             assert stream.status().state == "reconnecting"
             assert stream.status().text.endswith(f"of its authority as ca= ({stream.name})")
         eventually(lambda: "nothing listens at localhost" in stream.status().text)
-        with listener(at, Credentials(cert=cert, key=key)) as robot:
+        with listener(at, Credentials(cert=tls.cert, key=tls.key)) as robot:
             first_frame(stream, lambda: robot.put("quiet", image(time.time_ns())))
             eventually(lambda: stream.source.problem == "")
 

@@ -37,21 +37,18 @@ def choose_kind(dialog, kind):
 
 
 def test_dialog_reports_a_rejected_certificate_lists_topics_and_connects_two_sensors(
-    open_bench, certificates
+    open_bench, tls
 ):
     bench = open_bench()
-    ca, other, cert, key = (
-        str(certificates / name) for name in ("ca.pem", "other.pem", "cert.pem", "key.pem")
-    )
-    place, own = f"tls/localhost:{free_port()}", Credentials(cert=cert, key=key)
-    source = f"zenoh:{place}?ca={other}"
+    place, own = f"tls/localhost:{free_port()}", Credentials(cert=tls.cert, key=tls.key)
+    source = f"zenoh:{place}?ca={tls.other}"
     why = "refused: the certificate of localhost is not signed by "
-    why += f"ca={other}; give the certificate of its authority as ca= ({source})"
+    why += f"ca={tls.other}; give the certificate of its authority as ca= ({source})"
     with open_session(SessionOptions("robot", listen=place, credentials=own)):
         for sensor in (sensor_file(bench.folder), AUTO):
             dialog = opened(bench, sensor)
             says = dialog.problem.text
-            for file, text in ((ca, "No topics yet; looking…"), (other, why)):
+            for file, text in ((tls.ca, "No topics yet; looking…"), (tls.other, why)):
                 dialog.place.setEditText(f"{place}?ca={file}")
                 bench.wait(lambda says=says, text=text: says() == text)
             assert dialog.source.text() == source
