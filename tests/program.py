@@ -1,6 +1,7 @@
 """Commands of bubbleviz in the process of a test, their tables, and code in other processes."""
 
 import csv
+import json
 import subprocess
 import sys
 import textwrap
@@ -24,6 +25,11 @@ def output_of(*words):
     done = run(*words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.stdout
+
+
+def facts_of(*words):
+    """What a command told with `--json`."""
+    return json.loads(output_of(*words, "--json"))
 
 
 def refusal(*words):

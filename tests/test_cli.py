@@ -1,6 +1,5 @@
 """The command line: help without heavy imports, errors on one line."""
 
-import json
 import subprocess
 import sys
 from importlib.metadata import EntryPoints
@@ -19,7 +18,7 @@ from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.window_session import Startup
-from tests.program import output_of, refusal, run
+from tests.program import facts_of, output_of, refusal, run
 
 
 def test_every_command_has_help():
@@ -47,7 +46,7 @@ def test_runs_as_a_module():
 
 
 def test_presets_are_listed_by_the_names_that_options_take():
-    printed = json.loads(output_of("presets", "--json"))
+    printed = facts_of("presets")
     assert {"pico_flexx_75mm", "punyo_oval_d405"} <= printed["sensors"].keys()
     for name, says in printed["sensors"].items():
         assert says.startswith(bv.load_sensor(name).name)
@@ -63,7 +62,7 @@ def test_doctor_prints_what_a_bug_report_needs(tmp_path, monkeypatch):
     (tmp_path / "pyrealsense2.py").write_text("import nothing_of_that_name")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.setenv("DISPLAY", ":77")
-    printed = json.loads(output_of("doctor", "--json"))
+    printed = facts_of("doctor")
     machine = printed["machine"]
     assert machine["bubbleviz"] == bv.__version__ and sys.version.startswith(machine["Python"])
     assert printed["libraries"]["numpy"] == np.__version__

@@ -9,7 +9,7 @@ from small_press import changed, write_press
 import bubbleviz as bv
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import RecordingWriter
-from tests.program import output_of, rows_of
+from tests.program import facts_of, output_of, rows_of
 
 CLEAR, PRESS = (0.060,), (0.046, 0.044, 0.042, 0.041, 0.042, 0.045)
 LATER = 3
@@ -79,7 +79,7 @@ def test_the_command_takes_recordings_results_and_another_sensor_file(
     saved = tmp_path / "a.npz"
     runs[0].save(saved)
     words = ["compare", saved, recordings[0], "--other-sensor", other]
-    told = json.loads(output_of(*words, "--out", tmp_path / "all", "--json"))
+    told = facts_of(*words, "--out", tmp_path / "all")
     share = told["max_force_difference_n"] / np.linalg.norm(runs[0].force_n, axis=1).max()
     assert share == pytest.approx(0.5, abs=0.1)  # force is proportional to the gauge pressure
     assert json.loads((tmp_path / "all" / "comparison.json").read_text()) == told

@@ -23,7 +23,7 @@ from bubbleviz.api.batching import (
     run_job,
 )
 from bubbleviz.errors import InputError
-from tests.program import COMMAND, output_of, python, refusal, rows_of, run, start
+from tests.program import COMMAND, facts_of, output_of, python, refusal, rows_of, run, start
 from tests.recordings.bagmaker import START, BagMaker
 
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
@@ -39,7 +39,7 @@ def batch(*words):
 
 def resumed(*words):
     """Status of each recording as printed by a resumed batch, run in this process."""
-    rows = json.loads(output_of("batch", *words, "--resume", "--json"))["rows"]
+    rows = facts_of("batch", *words, "--resume")["rows"]
     return {row["recording"]: row["outcome"] for row in rows}
 
 

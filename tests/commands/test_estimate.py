@@ -16,7 +16,7 @@ from bubbleviz.output import COLUMNS, FrameTable, ResultWriter, summary_row
 from bubbleviz.recordings import Frame, Recording, RecordingWriter
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from tests.program import output_of
+from tests.program import facts_of, output_of
 from tests.small_press import changed
 
 PRESET = "pico_flexx_75mm"
@@ -176,7 +176,7 @@ def copied(source, path, change):
 def test_a_frame_without_data_in_the_middle(folder, tmp_path, result):
     recording = copied(folder / "rec.mcap", tmp_path / "hole.mcap", {2: np.nan})
     out = tmp_path / "r.npz"
-    told = json.loads(output_of("estimate", recording, "--sensor", PRESET, "--out", out, "--json"))
+    told = facts_of("estimate", recording, "--sensor", PRESET, "--out", out)
     assert told["status"] == {"no_contact": 1, "ok": 2, "no_data": 1}
     assert told["failure"].startswith("no_data: too few depth pixels")
     assert told["rms_force_n"] > 0.0

@@ -1,6 +1,5 @@
 """One bad message, file name or image spoils nothing else of its recording or folder."""
 
-import json
 import shutil
 import time
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 
 import bubbleviz as bv
-from tests.program import output_of, rows_of, run
+from tests.program import facts_of, output_of, rows_of, run
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
 from tests.recordings.mcap_copy import copied
 
@@ -50,7 +49,7 @@ def test_names_that_are_a_formula_or_not_utf8(tmp_path, press, sensor):
     assert (done.exit_code, done.stderr) == (0, "")
     rows = rows_of(tmp_path / "out" / "summary.csv")
     assert [row["recording"] for row in rows] == list(shown.values())
-    rows = json.loads(output_of(*words, "--resume", "--json"))["rows"]
+    rows = facts_of(*words, "--resume")["rows"]
     assert [(row["recording"], row["outcome"]) for row in rows] == [(k, "kept") for k in shown]
 
 

@@ -5,6 +5,8 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
+from mcap.reader import make_reader
+
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import Recorder, SessionOptions, ZenohPublisher, open_session
 
@@ -36,6 +38,12 @@ def recorded(path, messages, recorder=None):
         recorder.push(message)
     recorder.stop()
     return path
+
+
+def messages_in(path, *topics):
+    """Schema, channel and message, in the order written, as the `mcap` library reads them."""
+    with path.open("rb") as file:
+        return list(make_reader(file).iter_messages(topics or None, log_time_order=False))
 
 
 def played(stream):

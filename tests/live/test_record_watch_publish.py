@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from small_press import record, small_source
-from streams import recorded
+from streams import messages_in, recorded
 from wire import NOW, PERIOD, depth
 
 import bubbleviz as bv
@@ -21,7 +21,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.live import SessionOptions, ZenohSource, open_session, open_stream
 from bubbleviz.recordings import IMAGE, Frame, Recording, RecordingWriter
 from bubbleviz.sensor import load_sensor
-from tests.program import output_of, refusal, run, start
+from tests.program import facts_of, output_of, refusal, run, start
 
 
 def write_plain(path, frames):
@@ -163,7 +163,7 @@ def test_an_untrusted_estimate_shows_no_force(tmp_path, small_sensor_file):
     dark = np.zeros((camera.height, camera.width), np.float32)
     record(path, (Frame(k, 0.01 * k, dark) for k in range(5)))
     words = ("watch", "--source", f"replay:{path}", "--sensor", small_sensor_file)
-    facts = json.loads(output_of(*words, "--json"))
+    facts = facts_of(*words)
     assert list(facts["status"]) == ["no_data"]
     assert facts["max_force_n"] is None
     assert " N " not in output_of(*words)
@@ -174,11 +174,9 @@ def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_f
     path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, frames, 0.0)
     source, out = f"replay:{path}?speed=1000", tmp_path / "out.mcap"
     words = ("--source", source, "--sensor", small_sensor_file, "--out", out)
-    assert json.loads(output_of("watch", *words, "--json"))["frames"] >= 1
-    with out.open("rb") as file:
-        wrench = ["/bubbleviz/contact_wrench"]
-        sent = [message.publish_time for _, _, message in make_reader(file).iter_messages(wrench)]
-    assert max(sent) == 10**7 * frames
+    assert facts_of("watch", *words)["frames"] >= 1
+    sent = messages_in(out, "/bubbleviz/contact_wrench")
+    assert max(message.publish_time for _, _, message in sent) == 10**7 * frames
     with bv.connect(source, small_sensor_file) as stream:
         last = list(bv.estimate(stream))[-1]
     assert last.index == frames - 1

@@ -6,9 +6,8 @@ import time
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from realsense_file import record_realsense
-from streams import played, recorded
+from streams import messages_in, played, recorded
 from wire import (
     CLOUD,
     HEIGHT,
@@ -255,9 +254,8 @@ def test_each_finger_presses_its_side_of_the_nut(small_sensor):
 
 def sent_pressures(path, topic):
     """Gas pressures of a recording as the `mcap` library and rosbags read them."""
-    with path.open("rb") as file:
-        messages = list(make_reader(file).iter_messages(topics=[topic]))
-    return [STORE.deserialize_cdr(m.data, PRESSURE).fluid_pressure for _, _, m in messages]
+    found = messages_in(path, topic)
+    return [STORE.deserialize_cdr(m.data, PRESSURE).fluid_pressure for _, _, m in found]
 
 
 def test_two_sensors_are_recorded_into_one_file_with_separate_topics(

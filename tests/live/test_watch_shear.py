@@ -1,11 +1,10 @@
 """`watch --shear`: traction, torque and slip of a live source, or why only depth is used."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
+from streams import messages_in
 
 from bubbleviz.api.watching import Watcher
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
@@ -14,7 +13,7 @@ from bubbleviz.live import LiveSource, LiveStream, OfferedTopic
 from bubbleviz.recordings import LAG, Frame, FrameMessages
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear import COLLECTED
-from tests.program import output_of, refusal
+from tests.program import facts_of, refusal
 from tests.shear.drag import Eyes, sensor as shear_sensor, stuck
 from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_press
 
@@ -140,13 +139,12 @@ def test_the_command_records_the_wrench_with_friction(tmp_path):
     press, own = write_texture_press(tmp_path, {})
     out = tmp_path / "out.mcap"
     words = ("--source", f"replay:{press}?speed=0.1", "--sensor", own, "--shear", "--out", out)
-    shear = json.loads(output_of("watch", *words, "--json"))["shear"]
+    shear = facts_of("watch", *words)["shear"]
     assert shear["status"]["ok"] > 3
     truth = np.linalg.norm(stuck("puck", 0.004, 0.001, 8.0).force_n)
     assert shear["highest"]["force_n"][0] == pytest.approx(truth, rel=0.05)
     assert "using the depth camera's" in shear["reference"]
-    with out.open("rb") as file:
-        topics = {channel.topic for _, channel, _ in make_reader(file).iter_messages()}
+    topics = {channel.topic for _, channel, _ in messages_in(out)}
     assert {"/bubbleviz/traction_wrench", "/bubbleviz/traction_wrench_sigma"} <= topics
     assert "/bubbleviz/slip_share" in topics
     assert shear["status"]["ok"] < FRAMES

@@ -52,6 +52,11 @@ def number_of(payload):
     return int(np.frombuffer(payload[-2:], "<u2")[0]) - 100
 
 
+def number_shown(frame):
+    """k of the image of a frame."""
+    return round(1e3 * float(frame.depth_m[0, 0])) - 100
+
+
 def camera_info(stamp, width=WIDTH, height=HEIGHT):
     region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
     message = STORE.types[INFO](

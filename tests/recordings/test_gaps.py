@@ -1,7 +1,5 @@
 """Missing frames are counted, late ones are not."""
 
-import json
-
 import numpy as np
 import pytest
 from bagmaker import HEIGHT, PERIOD, START, WIDTH, BagMaker, depth_image, fill, pressure_at
@@ -9,7 +7,7 @@ from hypothesis import given, strategies as st
 
 from bubbleviz.api.frames import info
 from bubbleviz.recordings import find_gaps
-from tests.program import output_of
+from tests.program import facts_of, output_of
 
 
 @given(
@@ -60,7 +58,7 @@ def test_info_of_a_recording(tmp_path):
 
 
 def test_json_and_text_agree(press):
-    data = json.loads(output_of("info", press, "--json"))
+    data = facts_of("info", press)
     assert data["frames"] == 6
     assert data["gaps"] == 0
     assert {topic["name"] for topic in data["topics"]} >= {"/gas", "/wrench"}

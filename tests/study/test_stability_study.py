@@ -12,7 +12,7 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.processes import WorkerProcess
 from bubbleviz.study.stability import Case, FailedError, Trial, all_cases, attempt, stability_study
-from tests.program import output_of, refusal
+from tests.program import facts_of, refusal
 
 
 def test_there_are_enough_cases_of_every_kind():
@@ -175,7 +175,7 @@ def test_errors_outside_the_contract_are_not_caught():
 
 def test_command(tmp_path):
     words = ("study", "stability", "--case", "sensor pose in mm", "--out", tmp_path / "new")
-    found = json.loads(output_of(*words, "--json"))
+    found = facts_of(*words)
     assert {k: found[k] for k in ("cases", "passed", "refused", "failed")} == {
         "cases": 1, "passed": 0, "refused": 1, "failed": 0,
     }  # fmt: skip
