@@ -137,9 +137,12 @@ def test_impossible_options_are_reported(sensor, press, options, said):
 def test_the_command_records_the_wrench_with_friction(tmp_path):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     press, own = write_texture_press(tmp_path, {})
-    out = tmp_path / "out.mcap"
-    words = ("--source", f"replay:{press}?speed=0.1", "--sensor", own, "--shear", "--out", out)
-    shear = facts_of("watch", *words)["shear"]
+    for speed in (0.1, 0.02):  # on a busy machine few frames are seen
+        out, source = tmp_path / f"{speed}.mcap", f"replay:{press}?speed={speed}"
+        words = ("--source", source, "--sensor", own, "--shear", "--out", out)
+        shear = facts_of("watch", *words)["shear"]
+        if shear["status"].get("ok", 0) > 3:
+            break
     assert shear["status"]["ok"] > 3
     truth = np.linalg.norm(stuck("puck", 0.004, 0.001, 8.0).force_n)
     assert shear["highest"]["force_n"][0] == pytest.approx(truth, rel=0.05)
