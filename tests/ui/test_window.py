@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from fakes import DentSource, record, small_sensor
-from PySide6.QtCore import QEvent, QObject, QPoint, Qt
+from PySide6.QtCore import QEvent, QMargins, QObject, QPoint, Qt
 from PySide6.QtGui import QAction
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -19,11 +19,12 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from window_driver import CONTACT, clipped_labels, text_actors, turn_wheel
+from window_driver import CONTACT, LEFT, clipped_labels, text_actors, turn_wheel
 
 import bubbleviz
 from bubbleviz.sensor import Membrane
 from bubbleviz_ui.model.demand import STAGES
+from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.panels.status_bar import TIPS
 from bubbleviz_ui.shell import theme
@@ -403,6 +404,26 @@ def test_all_panels_fit_a_small_window_and_come_apart_in_a_large_one(drive, tmp_
     window.tabifyDockWidget(panels["layers"], panels["shear"])
     driver.resize(1390, 890)
     assert panels["shear"] in tabs(panels["layers"])
+
+
+@pytest.mark.parametrize("dragged", [0, 40])
+def test_panels_have_their_sizes_again_after_a_wide_one(drive, dragged):
+    """Also those that the operator dragged."""
+    driver = drive(DentSource, frame=6)
+    window, panels = driver.window, driver.window.panels
+    layers, wide = panels["layers"], panels["calibration"]
+    driver.resize_to_smallest()
+    expected = layers.size().grownBy(QMargins(dragged, 0, 0, 0))
+    line = QPoint(layers.x() - 2, 150)
+    driver.bot.mousePress(window, LEFT, pos=line)
+    driver.bot.mouseMove(window, line - QPoint(dragged, 0))
+    driver.wait(lambda: layers.size() == expected)
+    driver.bot.mouseRelease(window, LEFT, pos=line - QPoint(dragged, 0))
+    for _ in range(2):
+        window.use_scene(load_scene("calibrate"))
+        driver.wait(lambda: wide.width() > expected.width() + 20)
+        window.use_scene(load_scene("press"))
+        driver.wait(lambda: layers.size() == expected)
 
 
 def right_end(driver, text):

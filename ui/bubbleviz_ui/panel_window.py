@@ -83,6 +83,8 @@ DRAWN = frozenset(each.name for each in fields(Settings)) - (
     PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme", "panels", "plots", "images"}
 )
 """Settings whose change redraws the 3-D view; it follows the theme by its palette."""
+SIDE_WIDTH = 270
+"""Of the panels at the right in a new window, px."""
 SIDES = {
     "right": Qt.DockWidgetArea.RightDockWidgetArea,
     "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
@@ -104,6 +106,9 @@ class PanelWindow(QMainWindow):
         self.setWindowTitle("bubbleviz")
         self.setAcceptDrops(True)
         self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
+        # Else X11 counts in steps of 2 px from the minimum size at 150 %, and the window shrinks
+        # by a pixel whenever `_fit` changes that
+        self.setBaseSize(1, 1)
         self.state = state
         self.controller = controller  # Closed with the window
         self.messages = state.messages
@@ -146,6 +151,7 @@ class PanelWindow(QMainWindow):
         self.reading = Worker("reading")
         self._memory = MemoryRelease(state)
         self._docks: dict[str, Dock] = {}
+        self._side_width: int | None = SIDE_WIDTH  # None: that of the next layout
         layout = self.layout()
         assert layout is not None
         layout.setSizeConstraint(QLayout.SizeConstraint.SetNoConstraint)  # see `_fit`
@@ -203,6 +209,7 @@ class PanelWindow(QMainWindow):
         if event.type() == QEvent.Type.LayoutRequest and self.isVisible():
             self._fit()
         elif event.type() == QEvent.Type.MouseButtonRelease:  # of a line between docks
+            self._fit_width(dragged=True)
             for dock in self._docks.values():
                 dock.keep_height()
         return done
@@ -213,6 +220,7 @@ class PanelWindow(QMainWindow):
             dock.learn_height()
             if dock.too_low:
                 self._make_tabs(dock)
+        self._fit_width()
         for side in SIDES.values():
             shown = column(self, side)
             if self.minimumSizeHint().height() > self.height() and shown:
@@ -236,6 +244,27 @@ class PanelWindow(QMainWindow):
         for name, side in SIDES.items():
             spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
             self.tabs.part(side, spare)
+
+    def forget_sizes(self) -> None:
+        """Keep the sizes of docks in the next layout, which is that of a session."""
+        self._side_width = None
+        for dock in self._docks.values():
+            dock.forget_height()
+
+    def _fit_width(self, *, dragged: bool = False) -> None:
+        """Keep the width of the panels at the right, or take it back after one that needed more.
+
+        `dragged`: Whether the operator may have changed it.
+        """
+        shown = column(self, SIDES["right"])
+        if not shown or (QApplication.mouseButtons() and not dragged):  # while it is dragged
+            return
+        width, least = shown[0].width(), max(dock.minimumSizeHint().width() for dock in shown)
+        kept = max(least, self._side_width or 0)
+        if self._side_width is None or (dragged and width != kept):
+            self._side_width = width
+        elif width > kept:
+            self.resizeDocks(shown[:1], [kept], Qt.Orientation.Horizontal)
 
     def _restore_heights(self) -> None:
         for dock in self._docks.values():
@@ -305,8 +334,8 @@ class PanelWindow(QMainWindow):
         docks["images"].open_at_hint_height()
         docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
-        self.resizeDocks([docks["layers"]], [270], Qt.Orientation.Horizontal)
         self._docks, self.tabs = docks, TabsForRoom(self, list(docks.values()))
+        self._fit_width()
         return {**docks, "status": self.status}
 
     def _share_width(self) -> None:

@@ -39,7 +39,6 @@ from bubbleviz_ui.session_files.session_file import (
     with_paths,
     with_sensor,
 )
-from bubbleviz_ui.shell.dock import Dock
 from bubbleviz_ui.shell.file_dialogs import ask_yes_no
 from bubbleviz_ui.view3d.render_view import View
 
@@ -209,8 +208,7 @@ class SessionSaver(QObject):
             if saved.geometry:
                 self._window.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
-                for dock in self._window.findChildren(Dock):
-                    dock.forget_height()
+                self._window.forget_sizes()
                 self._window.restoreState(_bytes(saved.layout))
                 named = Qt.DockWidgetArea.__members__
                 window.tabs.made = {named[name] for name in saved.tabbed_sides if name in named}

@@ -242,8 +242,9 @@ class OpenPanels(QObject):
 
     def show_only(self, names: frozenset[str]) -> None:
         """Open these panels and close all others."""
-        for name, panel in self._panels.items():
-            panel.setVisible(name in names)
+        closed_first = sorted(self._panels, key=lambda name: name in names)  # they make room
+        for name in closed_first:
+            self._panels[name].setVisible(name in names)
 
     def close(self) -> None:
         """Stop tracking, before the window destroys its panels."""
