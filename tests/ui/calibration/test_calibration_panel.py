@@ -212,6 +212,8 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
             assert button.visibleRegion().boundingRect().size() == button.size()
             assert button.mapTo(panel, QPoint()).y() >= panel.stack.geometry().bottom()
     assert not panel.next.isVisible()
+    bench.bot.mouseClick(panel.next, Qt.MouseButton.LeftButton)  # as if it were on its way
+    assert panel.page is report
     found, table = bench.found, report.table
     cells = {
         table.item(k, 0).text(): (table.item(k, 1).text(), table.item(k, 2).text())

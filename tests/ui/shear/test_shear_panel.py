@@ -185,7 +185,7 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     assert alone["state"] == "depth alone: no texture" and alone["slip"] == "–"
     assert alone["tangential"] == words["tangential"] and alone["displacement"] == "–"
     text = shear_report(dragged(driver), Units())
-    assert "Normal: 3.00 ± 0.20 N" in text.splitlines()
+    assert "Along normal: 3.00 ± 0.20 N" in text.splitlines()
     # the preset can be undone
     panel, window = driver.window.shear, driver.window
     panel.flow.setCurrentIndex(panel.flow.findData("fine"))

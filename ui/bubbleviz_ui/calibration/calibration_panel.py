@@ -261,7 +261,7 @@ class CalibrationPanel(QWidget):
         if self._failed:
             to_do = "Try again"
         self.next.setText(f"Next: {following.title}" if computed else to_do)
-        self.next.setEnabled(not needs_collecting)
+        self.next.setEnabled(not needs_collecting and page is not self.report)
         self.back.setEnabled(place > 0)
         self.all.setVisible(reached < Step.TENSION)
         self.all.setEnabled(not needs_collecting)

@@ -29,8 +29,8 @@ from bubbleviz_ui.model.units import DASH, Units
 
 
 NUMBERS = {
-    "state": "Status", "place": "x, y, z", "turn": "rx, ry, rz", "fit": "Both stages",
-    "first": "Stage one", "open": "Not determined", "spread": "Std. deviation", "time": "Time",
+    "state": "Status", "place": "x, y, z", "turn": "rx, ry, rz", "fit": "Final fit",
+    "first": "First stage", "open": "Not determined", "spread": "Std. deviation", "time": "Time",
 }  # fmt: skip
 """Titles of the texts by name."""
 STATES = {

@@ -25,19 +25,21 @@ from bubbleviz_ui.shell.binding import control, form
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.theme import BLUE
 
-# Plot of the tangential force and its 95 % region.
+# Plot of the force across the mean normal and its 95 % region.
 
 
 HEIGHT = 170  # screen pixels
 
 
 class ShearPlot(PlotHost):
-    """Tangential force as a line from the origin, with an ellipse around its end."""
+    """The force as a line from the origin, with an ellipse around its end."""
 
     def __init__(self) -> None:
         super().__init__(self._fill)
         self.setFixedHeight(HEIGHT)
-        self.setToolTip("Tangential force along x and y of the bubble frame, with its 95 % region")
+        self.setToolTip(
+            "Force across the mean normal along x and y of the bubble frame, with its 95 % region"
+        )
 
     def _fill(self) -> list[Part]:
         self._plot = Plot("number")
@@ -50,7 +52,7 @@ class ShearPlot(PlotHost):
         """Draw a force in a unit; None: no force."""
         if not self.ready:
             return
-        self._plot.write(f"Tangential force, y over x, {unit.symbol}")
+        self._plot.write(f"Force across the normal, y over x, {unit.symbol}")
         for item, points in (
             (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
             (self.outline, None if ellipse is None else ellipse.outline_n),
@@ -62,15 +64,16 @@ class ShearPlot(PlotHost):
 
 
 NUMBERS = {
-    "force": "Force |F|", "normal": "Normal", "tangential": "Tangential",
+    "force": "Force |F|", "normal": "Along normal", "tangential": "Across normal",
     "direction": "Direction", "torque": "Torque", "displacement": "Displacement", "slip": "Slip",
 }  # fmt: skip
 """Titles of the numbers by name."""
 TIPS = {
     "force": "Magnitude of the force of the object on the membrane",
     "normal": "Component along the mean normal of the contact, into the sensor",
-    "tangential": "Component across the mean normal of the contact",
-    "direction": "Angle of the tangential force about z, from x towards y of the bubble frame",
+    "tangential": "Component across the mean normal of the contact; the friction of the readout is "
+    "along the membrane, which is curved",
+    "direction": "Angle of that component about z, from x towards y of the bubble frame",
     "torque": "Torque about the mean normal through the contact's centre",
     "displacement": "Largest displacement along the membrane within the contact",
     "slip": "Share of the patch that slipped since contact, relative to the part that sticks; – "
