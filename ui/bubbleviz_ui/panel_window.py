@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from PySide6.QtCore import QEvent, QSize, Qt, QTimer
+from PySide6.QtCore import QEvent, Qt, QTimer
 from PySide6.QtGui import (
     QCloseEvent,
     QDragEnterEvent,
@@ -56,7 +56,16 @@ from bubbleviz_ui.sensor.sensor_panel import SensorPanel
 from bubbleviz_ui.shear.shear_panel import ShearPanel
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.binding import watch_controls
-from bubbleviz_ui.shell.dock import Dock, OpenPanels, TabsForRoom, column, fill, scrolled
+from bubbleviz_ui.shell.dock import (
+    FRAME,
+    Dock,
+    OpenPanels,
+    TabsForRoom,
+    column,
+    fill,
+    resize_on_screen,
+    scrolled,
+)
 from bubbleviz_ui.shell.file_dialogs import (
     picture_format,
     remember,
@@ -68,8 +77,7 @@ from bubbleviz_ui.view3d.pointing import Pointing
 from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View
 from bubbleviz_ui.view3d.scene import Scene
 
-SIZE, FRAME = QSize(1280, 800), QSize(8, 40)
-"""Initial size of the window, and the largest frame of a window manager, px."""
+SIZE = (1280, 800)  # px, of a new window
 NARROW = 1000
 """Below this width, px, the timeline is placed below the panels."""
 IMAGES_BESIDE_VIEW = 1200
@@ -83,8 +91,8 @@ DRAWN = frozenset(each.name for each in fields(Settings)) - (
     PATCH_SETTINGS | PLAYBACK_SETTINGS | {"theme", "panels", "plots", "images"}
 )
 """Settings whose change redraws the 3-D view; it follows the theme by its palette."""
-SIDE_WIDTH = 270
-"""Of the panels at the right in a new window, px."""
+SIDE_WIDTH = 310
+"""Of the panels at the right in a new window, for numbers with their intervals, px."""
 SIDES = {
     "right": Qt.DockWidgetArea.RightDockWidgetArea,
     "bottom": Qt.DockWidgetArea.BottomDockWidgetArea,
@@ -105,7 +113,7 @@ class PanelWindow(QMainWindow):
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("bubbleviz")
         self.setAcceptDrops(True)
-        self.resize(SIZE.boundedTo(self.screen().availableSize() - FRAME))
+        resize_on_screen(self, *SIZE)
         # Else X11 counts in steps of 2 px from the minimum size at 150 %, and the window shrinks
         # by a pixel whenever `_fit` changes that
         self.setBaseSize(1, 1)

@@ -2,7 +2,9 @@
 
 from fakes import DentSource
 from live_bench import messages_by_type, sensor_file
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSize, Qt
+from PySide6.QtGui import QScreen
+from PySide6.QtWidgets import QDialog
 from window_driver import CTRL, view_texts
 
 from bubbleviz_ui.live.connection import single
@@ -83,3 +85,22 @@ def test_closing_a_live_source_completes_its_recording(open_bench):
     live.wait(lambda: "Recorded" in live.window.notice.label.text())
     assert messages_by_type(path) and live.live_controller.run is None
     assert not live.state.playing
+
+
+DIALOGS = (
+    *("File › Information", "File › Import", "File › Export", "Edit › Settings"),
+    *("Playback › Contacts", "Live › Connect", "Help › Documentation"),
+    *("Help › Keyboard shortcuts", "Help › Messages", "Help › About bubbleviz"),
+)
+
+
+def test_dialogs_fit_a_screen_of_1024_by_700_pixels_at_150_percent(drive, monkeypatch):
+    screen = QSize(683, 467)
+    monkeypatch.setattr(QScreen, "availableSize", lambda _: screen)
+    driver = drive(DentSource, frame=6)
+    for name in DIALOGS:
+        driver.trigger(name)
+        driver.wait(lambda: any(each.isVisible() for each in driver.window.findChildren(QDialog)))
+        (dialog,) = (each for each in driver.window.findChildren(QDialog) if each.isVisible())
+        assert screen.expandedTo(dialog.frameSize()) == screen, (name, dialog.frameSize())
+        dialog.close()

@@ -41,7 +41,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import pair, single
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.shell.dock import fill, push_button
+from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
 
 # Discovery of the topics of a source.
@@ -137,7 +137,7 @@ class ConnectDialog(QDialog):
     def __init__(self, parent: QWidget, live: LiveController, sensor_name: str | None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Connect to a live source")
-        self.resize(*SIZE)
+        resize_on_screen(self, *SIZE)
         self._live = live
         self._discovery = Discovery()
         self.kind = QComboBox()

@@ -11,7 +11,7 @@ from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, resize_on_screen
 from bubbleviz_ui.shell.table import Table
 
 SIZE = (430, 320)  # px
@@ -27,7 +27,7 @@ class ContactsDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Contacts")
-        self.resize(*SIZE)
+        resize_on_screen(self, *SIZE)
         self._state = state
         self._contacts: tuple[ContactPeriod, ...] = ()
         self.table = Table(COLUMNS, len(COLUMNS) - 1)

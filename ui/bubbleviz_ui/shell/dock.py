@@ -270,6 +270,9 @@ class OpenPanels(QObject):
 MIN_TEXT = 240
 """Smallest width of a long text next to controls, screen pixels."""
 
+FRAME = QSize(8, 40)
+"""Largest frame of a window manager, screen pixels."""
+
 Item = QWidget | QLayout | int
 A = TypeVar("A", bound=QAbstractButton)
 B = TypeVar("B", bound=QBoxLayout)
@@ -299,6 +302,11 @@ def fill(
         else:
             layout.addStretch(inner)
     return layout
+
+
+def resize_on_screen(window: QWidget, width: int, height: int) -> None:
+    """Resize a window or dialog to these screen pixels, or less if its screen has no room."""
+    window.resize(QSize(width, height).boundedTo(window.screen().availableSize() - FRAME))
 
 
 class BarLayout(QLayout):

@@ -21,10 +21,10 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.shell.binding import control, watch_controls
-from bubbleviz_ui.shell.dock import fill
+from bubbleviz_ui.shell.dock import fill, resize_on_screen
 from bubbleviz_ui.shell.theme import bold
 
-SIZE = (440, 400)  # px; fits a screen of 1024×700 pixels at 150 %
+SIZE = (440, 400)  # px
 SECTIONS = {
     "Solver and patch": ("solver", "least_area_m2", "flow_preset"),
     "Playback": ("speed", "every_frame", "loop"),
@@ -43,7 +43,7 @@ class SettingsDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Settings")
-        self.resize(*SIZE)
+        resize_on_screen(self, *SIZE)
         self._state, self._undo = state, undo
         self.search = QLineEdit()
         self.search.setPlaceholderText("Find a setting")

@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz_ui.shell.dock import fill, push_button
+from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 
 # Fuzzy search: letters in order, scored by adjacency and word starts.
 
@@ -196,7 +196,7 @@ class ShortcutsDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Keyboard shortcuts")
-        self.resize(*SIZE)
+        resize_on_screen(self, *SIZE)
         self._shortcuts = shortcuts
         self.search = QLineEdit()
         self.search.setPlaceholderText("Find an action")

@@ -24,7 +24,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.model.source_facts import title_text
-from bubbleviz_ui.shell.dock import fill, push_button
+from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 
 SIZE = (640, 360)  # px
 PAGES_SIZE = (860, 620)
@@ -38,7 +38,7 @@ class TextDialog(QDialog):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle(title)
-        self.resize(*SIZE)
+        resize_on_screen(self, *SIZE)
         self.text = QPlainTextEdit(readOnly=True)
         self.copy = push_button(
             "&Copy all", copied, lambda: QApplication.clipboard().setText(self.report())
@@ -106,7 +106,7 @@ class PagesDialog(QDialog):
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Documentation")
         self._files = sorted(folder.rglob("*.md"))
-        self.resize(*PAGES_SIZE)
+        resize_on_screen(self, *PAGES_SIZE)
         self.page = QTextBrowser()
         self.page.setOpenExternalLinks(True)
         self.page.setSearchPaths([str(folder)])
