@@ -52,7 +52,11 @@ class Rest:
     def memory_mib(self) -> float:
         """Close everything, wait, and return the resident memory of this process."""
         window, state = self._session.window, self._session.state
-        window.calibration.calibration.cancel()
+        calibration = window.calibration.calibration
+        calibration.cancel()
+        calibration.start(lambda _: None, lambda _: None)  # after what was cancelled has ended
+        while calibration.busy:
+            run_for(GLANCE_S)
         with window.undo_recorder.unrecorded():
             window.open_panels.show_only(self._panels)
             state.change(**{f.name: getattr(self._choices, f.name) for f in fields(self._choices)})

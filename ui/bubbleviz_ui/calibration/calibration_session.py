@@ -84,8 +84,8 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
     )
 
 
-CACHED_ANSWERS = 4
-"""Results that undo can restore without computing."""
+CACHED_ANSWERS = 2
+"""Results that undo can restore without computing; each may hold 150 depth images of its own."""
 
 
 class Calibration(QObject):
