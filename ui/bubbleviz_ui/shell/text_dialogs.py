@@ -28,6 +28,7 @@ from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 
 SIZE = (640, 360)  # px
 PAGES_SIZE = (860, 620)
+SEARCH = "Enter shows the next place with this text"
 HOME = "index.md"
 
 
@@ -114,8 +115,11 @@ class PagesDialog(QDialog):
         self.back = push_button("&Back", "Previous page", self.page.backward)
         self.back.setEnabled(False)
         self.page.backwardAvailable.connect(self.back.setEnabled)
-        self.search, self.missed = QLineEdit(placeholderText="Search all pages"), QLabel()
-        self.search.setToolTip("Enter shows the next place with this text")
+        self.search, self.missed = (
+            QLineEdit(placeholderText=f"Search all pages. {SEARCH}"),
+            QLabel(),
+        )
+        self.search.setToolTip(SEARCH)
         self.search.returnPressed.connect(self._find_next)
         for button in (self.home, self.back):
             button.setAutoDefault(False)  # Enter searches
