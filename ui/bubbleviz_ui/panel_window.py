@@ -18,6 +18,7 @@ from PySide6.QtGui import (
 )
 from PySide6.QtWidgets import QApplication, QLayout, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
 
+from bubbleviz.files import preset_names
 from bubbleviz.result import Result
 from bubbleviz_ui.calibration.calibration_panel import CalibrationPanel
 from bubbleviz_ui.calibration.calibration_session import Calibration
@@ -67,6 +68,7 @@ from bubbleviz_ui.shell.dock import (
     scrolled,
 )
 from bubbleviz_ui.shell.file_dialogs import (
+    last_sensor,
     picture_format,
     remember,
     remember_sensor,
@@ -426,16 +428,20 @@ class PanelWindow(QMainWindow):
         path = opened.request.source.path
         if path is not None:
             remember("recording", path)
+        name, camera = name_of(opened.sensor), opened.sensor.camera
+        size = camera.width, camera.height
         if opened.request.source is not self._source:  # reopening the same keeps the focus
             self._source = opened.request.source
             self.view.setFocus()
             for topic in (SOURCE, CALIBRATION):
                 self.message.drop_topic(topic)
+            own = last_sensor(size)
+            if path is not None and name in preset_names("sensors") and own is not None:
+                self.messages.add("notice", f"Preset in use, not {own.name}", file=own)
         self.message.drop_warnings()
         self.message.drop_topic(OPENING)
-        name, camera = name_of(opened.sensor), opened.sensor.camera
         if name is not None and name.endswith(".toml"):
-            remember_sensor(Path(name), (camera.width, camera.height))
+            remember_sensor(Path(name), size)
         if opened.facts.remark:
             self.messages.add("warning", opened.facts.remark)
         self.scene.depth_camera = opened.camera

@@ -17,8 +17,9 @@ from bubbleviz.errors import UnknownCameraError
 from bubbleviz.live import Recorder
 from bubbleviz.recordings import FrameMessages
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import save_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor, save_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
+from bubbleviz_ui import panel_window
 from bubbleviz_ui.engine.source import SYNTHETIC, Source
 from bubbleviz_ui.window_session import Startup, window_session
 
@@ -44,6 +45,24 @@ def opened(drive, sensor, path):
     driver.show("threshold")
     driver.wait(lambda: driver.inspection.kappa_curve is not None)
     return driver
+
+
+def test_a_preset_is_named_where_another_sensor_file_was_used_last(drive, tmp_path, monkeypatch):
+    preset, own = load_sensor("pico_flexx_75mm"), tmp_path / "mine.toml"
+    own.write_text(sensor_to_toml(preset))
+    above = np.eye(4)[None].copy()
+    above[0, 2, 3] = 0.1
+    source = SyntheticSource(preset, load_object("cylinder"), above, DepthNoise(), nodes=300)
+    Simulation(source).save(tmp_path / "rec.mcap", tmp_path / "truth.npz")
+    used = {(preset.camera.width, preset.camera.height): own}
+    monkeypatch.setattr(panel_window, "last_sensor", used.get)
+    driver = drive(DentSource)
+    notice, title = driver.window.notice, driver.window.windowTitle
+    driver.drop(tmp_path / "rec.mcap")
+    driver.wait(lambda: "(preset)" in title())
+    assert notice.isVisible() and notice.label.text() == "Preset in use, not mine.toml"
+    driver.click(notice.open)
+    driver.wait(lambda: "(mine.toml)" in title())
 
 
 def says_iou(driver):
