@@ -37,13 +37,6 @@ from bubbleviz_ui.shell.shortcuts import DYNAMIC, Shortcuts, ShortcutsDialog
 if TYPE_CHECKING:
     from bubbleviz_ui.importing.import_dialog import ImportDialog
 
-SO_FAR_NONE = "{} in the frames computed so far"
-ANALYSE = "; run Analyse all frames to search the others"
-SO_FAR = (
-    "Largest force of the frames computed so far; {} not yet computed. Run Analyse all frames to "
-    "include them"
-)
-
 
 class Menus(QObject):
     """Actions of the menu bar, their keys, and the dialogs that they open."""
@@ -415,24 +408,18 @@ class Menus(QObject):
         self._seek_found(found, f"No further {what}")
 
     def _seek_largest_force(self) -> None:
-        frame, missing = self._window.state.history.largest_force(), self._frames_to_analyse
-        self._seek_found(frame, "No contact")
-        if frame is not None and missing:
-            text = SO_FAR.format(count_of(missing, "frame"))
-            self._window.messages.add("notice", text)
+        self._seek_found(self._window.state.history.largest_force(), "No contact", "Largest force")
 
-    @property
-    def _frames_to_analyse(self) -> int:
-        """Frames of a recording not computed yet."""
-        history, facts = self._window.state.history, self._window.state.facts
-        return 0 if facts is None or facts.grows else len(history.missing(PATCH))
-
-    def _seek_found(self, frame: int | None, nothing: str) -> None:
-        if frame is None:
-            text = SO_FAR_NONE.format(nothing) + (ANALYSE if self._frames_to_analyse else "")
-            self._window.messages.add("notice", text)
-        else:
-            self._window.state.step(frame - self._window.state.frame)
+    def _seek_found(self, frame: int | None, nothing: str, found: str = "") -> None:
+        """Go to a frame found in the computed ones; say what it is if there are others."""
+        state = self._window.state
+        whole = state.facts is None or state.facts.grows
+        missing = 0 if whole else len(state.history.missing(PATCH))
+        rest = f" so far; {count_of(missing, 'frame')} left to analyse" if missing else ""
+        if frame is not None:
+            state.step(frame - state.frame)
+        if frame is None or (found and missing):
+            self._window.messages.add("notice", (nothing if frame is None else found) + rest)
 
     def _publish_at(self) -> None:
         state = self._window.state
