@@ -421,10 +421,8 @@ class RubberProblem:
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
         for part in self._divisions:
-            count = int(part.max()) + 1
-            steps = np.stack([step(weight * (part != k)) for k in range(count)])
-            share = np.sqrt((count - 1) / count / len(self._divisions)) * student_factor(count - 1)
-            errors += list(share * (steps - steps.mean(axis=0)))
+            found = jackknife_errors(lambda kept: step(weight * kept), part)
+            errors += list(found / np.sqrt(len(self._divisions)))
         # of the shapes with their model errors, for the tempering; then with the priors' errors
         covariance = self._noise(influence, known) + sum(np.outer(e, e) for e in errors)
         white = inverse[1] @ by_data @ inverse[1]
@@ -558,16 +556,35 @@ def _view_parts(
 ) -> list[np.ndarray]:
     """Part of the view of each block, (B,) int, per division: rings, or two sets of sectors."""
     if not pressed:
-        mesh = observer.mesh
-        hits = observer.around(mesh.nodes).hits
-        height = np.full(len(change_m), -np.inf)
-        height[hits.ray] = hits.values(mesh.nodes[:, 2], mesh.triangles)
-        return [np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)]
+        return [height_rings(observer)]
     row, column = np.divmod(observer.block_number, observer.columns)
     deepest = int(np.argmin(change_m))
     turn = np.arctan2(row - row[deepest], column - column[deepest]) / (2.0 * np.pi)
     shifts = 0.0, 0.5 / _SECTORS
     return [(np.floor((turn + shift) * _SECTORS) % _SECTORS).astype(int) for shift in shifts]
+
+
+def jackknife_errors(
+    fit: Callable[[np.ndarray], np.ndarray],  # (Q,) of weights 1 or 0 of the blocks
+    part: np.ndarray,  # of each block, int from 0
+) -> np.ndarray:
+    """Errors (K, Q) of a fit by model errors that differ between K parts of the view.
+
+    By fits without each part, widened as there are few parts.
+    """
+    count = int(part.max()) + 1
+    found = np.stack([fit((part != k).astype(float)) for k in range(count)])
+    widened: np.ndarray = np.sqrt((count - 1) / count) * student_factor(count - 1) * found
+    return widened - widened.mean(axis=0)
+
+
+def height_rings(observer: RangeObserver) -> np.ndarray:
+    """Ring of each block, (B,) int, of equal numbers of blocks from rim to top."""
+    mesh = observer.mesh
+    hits = observer.around(mesh.nodes).hits
+    height = np.full(observer.blocks, -np.inf)
+    height[hits.ray] = hits.values(mesh.nodes[:, 2], mesh.triangles)
+    return np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)
 
 
 def _check_rise(name: str, rise: float, gauge_pa: float, *, pressed: bool) -> None:

@@ -1,8 +1,8 @@
 """Check of a sensor file against contact-free frames, and the force error of a misfit.
 
 The mean of the frames is compared with the range that the sensor file predicts, with the blocks of
-pixels and the noise of the estimator. A change is explained by up to three causes, each with a
-known pattern over the image: an offset of depth, its scale, and the gas pressure.
+pixels and the noise of the estimator. Least squares explain a change by the estimator's errors of a
+whole image and by the gas pressure, whose effect on the shape is uncertain by the material.
 """
 
 from __future__ import annotations
@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from bubbleviz.camera import BlockSquares, DepthCamera
+from bubbleviz.calibration.rubber_problem import height_rings, jackknife_errors
+from bubbleviz.camera import IMAGE_ERRORS, BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
-from bubbleviz.membrane import Inflation
+from bubbleviz.membrane import Inflation, rest_stress, varied_rubber
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import (
     MIN_FRAMES,
@@ -39,8 +39,9 @@ from bubbleviz.wording import count_of, decimals_of, rounded
 
 CheckVerdict = Literal["fits", "drifted", "another"]
 
-OFFSET, SCALE, GAS = "depth offset", "depth scale", "gas pressure change from the shape"
-_UNITS = {OFFSET: ("mm", 1e3), SCALE: ("%", 1e2), GAS: ("Pa", 1.0)}
+_CAUSES = (*(f"depth {name}" for name in IMAGE_ERRORS), "gas pressure change from the shape")
+_UNITS = ("mm", 1e3), ("mm at 45°", 1e3), ("mm at 45°", 1e3), ("%", 1e2), ("Pa", 1.0)
+_GAS = len(IMAGE_ERRORS)  # place of the gas pressure among the causes
 _REMEDY = {
     True: "inflate the sensor to the gauge pressure in its file, or identify it again",
     False: "let the camera warm up, then identify the sensor again, untouched",
@@ -59,7 +60,7 @@ class CheckRow:
     quantity: str
     unit: str  # of the text; `factor` times SI
     factor: float
-    value: float  # SI
+    value: float | None  # SI; None: not determined
     half_width: float | None = None  # half of the 95 % interval
     limit: float | None = None  # absolute value beyond which this quantity alone is a misfit
     todo: str = ""  # remedy; empty where the value is within its limit
@@ -71,7 +72,8 @@ class CheckRow:
             "" if number is None else rounded(self.factor * number, digits)
             for number in (self.value, self.half_width, self.limit)
         )
-        cells = f"{value} {self.unit}", half and f"± {half}", limit and f"± {limit}"
+        shown = f"{value} {self.unit}" if value else "needs λ"
+        cells = shown, half and f"± {half}", limit and f"± {limit}"
         return self.quantity, *cells, self.todo
 
 
@@ -115,11 +117,11 @@ def check_sensor(
     rest = _RestComparison(model, depths)
     camera = _camera_row(model, rest)
     fits = rest.chi2 <= rest.chi2_limit and not camera.todo
-    rows = () if quick and fits else (*rest.rows(), camera, *_gas_rows(model, frames, rest))
+    rows = [] if quick and fits else rest.rows()
     found = SensorCheck(
         verdict="fits",
         reason=f"fits: depth within {1e3 * rest.change_limit_m:.2f} mm rms of the sensor file",
-        rows=rows,
+        rows=(*rows, camera, *_gas_rows(model, frames, rows)) if rows else (),
         frames=(frames[0].index, frames[-1].index),
         bias_m=rest.bias_m,
         chi2_per_block=rest.chi2,
@@ -145,8 +147,8 @@ def check_sensor(
     if not rest.explained:
         reason = "another membrane or camera, or the camera moved: identify the sensor again"
         return replace(found, verdict="another", reason=reason)
-    causes = [row for row in rest.rows()[:-1] if row.todo]
-    largest = max(causes, key=lambda row: abs(row.value) / (row.limit or 1.0), default=None)
+    causes = [row for row in rows if row.todo]
+    largest = max(causes, key=lambda row: abs(row.value or 0.0) / (row.limit or 1.0), default=None)
     names = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
     force = "" if error is None else f", which changes a force of {press:.2g} N by {error:.2g} N"
@@ -169,16 +171,17 @@ class _RestComparison:
             residuals = np.array(
                 [self.observer.weigh(each, middle).residual_m for each in measured]
             )
-        totals = np.array([each.total for each in measured])
-        by_offset, *_, by_scale = self.observer.image_errors.T
-        self._visible = np.asarray((totals > 0.0).all(axis=0) & (by_offset > 0.0))
-        # derivative of the residuals (B,) by an offset and by the scale of depth
-        self._by_offset, self._by_scale = by_offset[self._visible], by_scale[self._visible]
+        totals, by_image = np.array([each.total for each in measured]), self.observer.image_errors
+        self._visible = np.asarray((totals > 0.0).all(axis=0) & (by_image[:, 0] > 0.0))
         if 2 * self._visible.sum() < len(self._visible):
             raise InputError(
                 "the part of the membrane with valid depth in all frames is less than half; "
                 "uncover the camera, or choose other frames"
             )
+        self._by_image = by_image[self._visible]
+        blocks = self.observer.block_number[self._visible]
+        self._squares = BlockSquares(blocks, self.observer.columns)
+        self._ring = height_rings(self.observer)[self._visible]
         # (F, B), residuals of the blocks, m
         self.frames_m = residuals[:, self._visible]
         self.mean_m = self.frames_m.mean(axis=0)
@@ -206,7 +209,8 @@ class _RestComparison:
 
     def _detectable(self, pattern: float | np.ndarray, variance_m2: np.ndarray) -> float:
         """Size of a pattern (B,) of the blocks at which χ² is at its limit."""
-        return float(np.sqrt(self.chi2_limit / np.mean(pattern**2 / variance_m2)))
+        strength = np.mean(pattern**2 / variance_m2)
+        return float(np.sqrt(self.chi2_limit / max(strength, np.finfo(float).tiny)))
 
     @property
     def change_limit_m(self) -> float:
@@ -217,7 +221,7 @@ class _RestComparison:
     def bias_m(self) -> float:
         """Mean of measured minus expected z-depth, m."""
         return float(
-            np.average(self.mean_m / self._by_offset, weights=1.0 / self.frame_variance_m2)
+            np.average(self.mean_m / self._by_image[:, 0], weights=1.0 / self.frame_variance_m2)
         )
 
     @property
@@ -231,32 +235,99 @@ class _RestComparison:
         residual = self._without(self.causes)
         return bool(np.mean(residual**2 / self.frame_variance_m2) <= self.chi2_limit)
 
+    @property
+    def shape_m(self) -> float:
+        """Rms over the blocks of the residual without the causes, m."""
+        residual = self._without(self.causes)
+        return float(np.sqrt(np.average(residual**2, weights=1.0 / self.frame_variance_m2)))
+
     @cached_property
-    def patterns(self) -> dict[str, np.ndarray]:
-        """Derivative of the residuals (B,) by each cause, in m, 1 and Pa."""
-        found = {OFFSET: self._by_offset, SCALE: self._by_scale}
-        at_rest = self._observed(self.expected_depth_m())
-        gauge = self.model.sensor.pneumatics.gauge_pressure_pa
-        inflation, step = Inflation(self.model.rubber), _STEP * gauge
-        for _ in range(_SECANTS):  # the response to pressure is nonlinear
+    def _by_gas(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative of the residuals by the gas pressure, (B,), m/Pa, and its errors (k, B).
+
+        The latter are those of the material, each by one standard deviation. The response is
+        nonlinear: these are secants to the change of pressure that explains the most.
+        """
+        sensor, mesh = self.model.sensor, self.model.mesh
+        gauge, stress = sensor.pneumatics.gauge_pressure_pa, rest_stress(sensor, mesh)
+        varied = varied_rubber(sensor, mesh, self.model.tension_n_per_m, stress=stress)
+        membranes = [Inflation(each) for each in (self.model.rubber, *varied)]
+        by_gas, errors, step = 0.0 * self.mean_m, 0.0 * self.mean_m[None], _STEP * gauge
+        for _ in range(_SECANTS):
             try:
-                moved = inflation.at(gauge + step) - self.model.mesh.nodes
+                by_gas, *others = (self._moved_m(each, step) / step for each in membranes)
             except SolveError:  # inflated to its limit
                 break
-            pattern = (self._observed(self.expected_depth_m(moved)) - at_rest) / step
-            found[GAS] = pattern
-            weighted = pattern / self.mean_variance_m2
-            limit = _MAX_STEP * gauge
-            size = float(np.clip(weighted @ self.mean_m / (weighted @ pattern), -limit, limit))
+            errors = np.stack([each - by_gas for each in (by_gas, *others)])
+            weighted = by_gas / self.mean_variance_m2
+            size = float(weighted @ self.mean_m / (weighted @ by_gas))
             if abs(size) < _STEP * gauge:
                 break
-            step = size
-        return found
+            step = float(np.clip(size, -_MAX_STEP * gauge, _MAX_STEP * gauge))
+        return by_gas, errors
 
-    def expected_depth_m(self, moved_m: np.ndarray | None = None) -> np.ndarray:
-        """z-depth image (H, W) of the membrane at rest, or displaced by (n, 3), with pixel bias."""
-        view, pixels = self.model.view, self.model.pixels
-        ranges = view.rest_range if moved_m is None else view.range_image(moved_m)
+    def _moved_m(self, membrane: Inflation, change_pa: float) -> np.ndarray:
+        """Change of the range of the blocks (B,) by that of the gas pressure, m."""
+        nodes = membrane.at(membrane.membrane.gauge_pressure_pa + change_pa)
+        return self.observer.around(nodes).model_m[self._visible]
+
+    @cached_property
+    def patterns(self) -> np.ndarray:
+        """Derivative of the residuals by each cause, (B, 5), in m, m, m, 1 and Pa."""
+        return np.column_stack([self._by_image, self._by_gas[0]])
+
+    @cached_property
+    def causes(self) -> tuple[int, ...]:
+        """Numbers of the causes whose sizes are beyond their intervals.
+
+        Chosen one after the other, each as the one that with those before leaves the least; none
+        where the change is not significant.
+        """
+        chosen: tuple[int, ...] = ()
+        while len(chosen) < len(_CAUSES) and self.chi2 > self.chi2_limit:
+            sets = [(*chosen, k) for k in range(len(_CAUSES)) if k not in chosen]
+            squares = [np.sum(self._without(s) ** 2 / self.mean_variance_m2) for s in sets]
+            best = sets[int(np.argmin(squares))]
+            # the material scales the effect of the gas, so it matters to its size only
+            size, half = self._size(best, material=best[-1] != _GAS)
+            if abs(size) <= half:
+                break
+            chosen = best
+        return chosen
+
+    def _influence(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
+        """Derivative of each cause's size by each block (k, B), in weighted least squares."""
+        X = self.patterns[:, causes]
+        weighted = X.T * kept / self.mean_variance_m2
+        return np.asarray(np.linalg.solve(weighted @ X, weighted))
+
+    def _without(self, causes: tuple[int, ...]) -> np.ndarray:
+        """The mean residual (B,) minus the fitted causes, m."""
+        if not causes:
+            return self.mean_m
+        sizes = self._influence(causes) @ self.mean_m
+        return np.asarray(self.mean_m - self.patterns[:, causes] @ sizes)
+
+    def _size(self, causes: tuple[int, ...], *, material: bool = True) -> tuple[float, float]:
+        """Size of the last of the causes, fitted with the others, and half of its 95 % interval.
+
+        The interval combines the variation between frames, the residuals of squares of blocks, the
+        differences between rings from rim to top, and the error of the material unless left out.
+        """
+        sizes, left_m = self._influence(causes) @ self.mean_m, self._without(causes)
+        influence = self._influence(causes)[-1]
+        errors: list[np.ndarray] = [
+            np.array([error_of_mean(self.frames_m @ influence)]),
+            np.bincount(self._squares.of_block, influence * left_m),
+            jackknife_errors(lambda kept: self._influence(causes, kept)[-1] @ left_m, self._ring),
+        ]
+        if material and _GAS in causes:
+            errors.append(sizes[causes.index(_GAS)] * self._by_gas[1] @ influence)
+        return float(sizes[-1]), HALF_95 * float(np.linalg.norm(np.concatenate(errors)))
+
+    def expected_depth_m(self) -> np.ndarray:
+        """z-depth image (H, W) of the membrane at rest, with pixel bias."""
+        ranges, pixels = self.model.view.rest_range, self.model.pixels
         if pixels is not None:
             ranges = ranges + np.where(pixels.mask, pixels.bias_m, 0.0)
         return self.model.camera.depth_image(ranges)
@@ -270,67 +341,21 @@ class _RestComparison:
         change[self.observer.block_number[self._visible]] = self.mean_m
         return np.asarray(change[block] / self.model.camera.range_per_depth)
 
-    def _observed(self, depth_m: np.ndarray) -> np.ndarray:
-        return self.observer.observe(depth_m.astype(np.float32)).residual_m[self._visible]
-
-    @cached_property
-    def causes(self) -> tuple[str, ...]:
-        """Set of causes with the smallest BIC; empty where the change is not significant."""
-        if self.chi2 <= self.chi2_limit:
-            return ()
-        sets = [c for k in range(len(self.patterns) + 1) for c in combinations(self.patterns, k)]
-        penalty = np.log(len(self.mean_m))
-
-        def bic(causes: tuple[str, ...]) -> float:
-            squares = self._without(causes) ** 2 / self.mean_variance_m2
-            return float(np.sum(squares) + penalty * len(causes))
-
-        return min(sets, key=bic)
-
-    def _influence(self, causes: tuple[str, ...]) -> np.ndarray:
-        """Derivative of each cause's size by each block (k, B), in weighted least squares."""
-        X = np.stack([self.patterns[name] for name in causes], axis=1)
-        weighted = X.T / self.mean_variance_m2
-        return np.asarray(np.linalg.solve(weighted @ X, weighted))
-
-    def _without(self, causes: tuple[str, ...]) -> np.ndarray:
-        """The mean residual (B,) minus the fitted causes, m."""
-        if not causes:
-            return self.mean_m
-        sizes = self._influence(causes) @ self.mean_m
-        return np.asarray(self.mean_m - sizes @ [self.patterns[name] for name in causes])
-
-    def size(self, cause: str) -> tuple[float, float]:
-        """Size of a cause, fitted with the other causes, and half of its 95 % interval.
-
-        The interval combines the variation between frames with the residuals of squares of blocks.
-        """
-        causes = tuple(dict.fromkeys((*self.causes, cause)))
-        influence = self._influence(causes)[causes.index(cause)]
-        squares = BlockSquares(self.observer.block_number[self._visible], self.observer.columns)
-        scores = np.bincount(squares.of_block, influence * self._without(causes))
-        sigma = np.hypot(error_of_mean(self.frames_m @ influence), np.linalg.norm(scores))
-        return float(influence @ self.mean_m), HALF_95 * float(sigma)
-
     def rows(self) -> list[CheckRow]:
         """The causes, and the residual without them."""
         rows = []
-        for name in self.patterns:
-            limit = self._detectable(self.patterns[name], self.mean_variance_m2)
-            size, half = self.size(name)
-            significant = name in self.causes and abs(size) > limit and self.explained
-            remedy = _REMEDY[name == GAS] if significant else ""
-            rows.append(CheckRow(name, *_UNITS[name], size, half, limit, remedy))
+        for k, (name, unit) in enumerate(zip(_CAUSES, _UNITS, strict=True)):
+            limit = self._detectable(self.patterns[:, k], self.mean_variance_m2)
+            size, half = self._size((*(each for each in self.causes if each != k), k))
+            significant = k in self.causes and abs(size) > limit and self.explained
+            remedy = _REMEDY[k == _GAS] if significant else ""
+            rows.append(CheckRow(name, *unit, size, half, limit, remedy))
+        if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown
+            rows[_GAS] = replace(rows[_GAS], value=None, half_width=None, limit=None)
         remedy = "" if self.explained else "identify the sensor again"
         limit_m = self._detectable(1.0, self.frame_variance_m2)
         rows.append(CheckRow("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, remedy))
         return rows
-
-    @property
-    def shape_m(self) -> float:
-        """Rms over the blocks of the residual without the causes, m."""
-        residual = self._without(self.causes)
-        return float(np.sqrt(np.average(residual**2, weights=1.0 / self.frame_variance_m2)))
 
 
 def _camera_row(model: SensorModel, rest: _RestComparison) -> CheckRow:
@@ -340,16 +365,19 @@ def _camera_row(model: SensorModel, rest: _RestComparison) -> CheckRow:
     return CheckRow("camera info, rms", "mm", 1e3, change_m, None, limit_m, remedy)
 
 
-def _gas_rows(model: SensorModel, frames: Sequence[Frame], rest: _RestComparison) -> list[CheckRow]:
+def _gas_rows(
+    model: SensorModel,
+    frames: Sequence[Frame],
+    rows: Sequence[CheckRow],  # of the rest shape
+) -> list[CheckRow]:
     """Measured gas pressure minus the sensor file's, which may differ by the weather."""
     gas = np.array([np.nan if f.gas_pressure_pa is None else f.gas_pressure_pa for f in frames])
     if not np.isfinite(gas).all():
         return []
-    known = model.gas.P0
-    difference = float(gas.mean()) - known
-    inflation = rest.size(GAS)[0] if GAS in rest.causes else 0.0
+    difference = float(gas.mean()) - model.gas.P0
+    inflation = (rows[_GAS].value or 0.0) if rows[_GAS].todo else 0.0
+    remedy = gas_warning(float(gas.mean()) - inflation, model.gas.P0)
     half = HALF_95 * error_of_mean(gas)
-    remedy = gas_warning(float(gas.mean()) - inflation, known)
     return [
         CheckRow("gas pressure change measured", "Pa", 1.0, difference, half, WEATHER_PA, remedy)
     ]
@@ -363,8 +391,8 @@ def _another_camera(model: SensorModel, row: CheckRow) -> str:
     )
     return (
         f"another camera: its intrinsics ({new} pixels) change the ranges by "
-        f"{1e3 * row.value:.2g} mm rms from those of the sensor file ({old}): {row.todo}, or "
-        "identify the sensor again"
+        f"{1e3 * model.camera_change_m:.2g} mm rms from those of the sensor file ({old}): "
+        f"{row.todo}, or identify the sensor again"
     )
 
 
