@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """The pose is only computed with an object to track, pixels of the patch on first use."""
 _DRIFT_IMAGES = 10_000
+_CHANCE = 0.02  # share of images that contradict their known errors by chance
 """Most recent images used for the drift warning: five minutes of a stream."""
 _WRONG_UNIT = math.sqrt(10.0)
 """Ratio of depths to depths of the membrane at rest beyond which they are in a wrong unit: the
@@ -280,7 +281,9 @@ class FrameSolver:
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._statuses: Counter[str] = Counter()
-        self._moved = 0  # frames with contact in which the camera has moved
+        # frames with contact, and those without after the first that moved; of both, the ones
+        # whose image contradicts its known errors
+        self._moved, self._later, self._later_moved = 0, 0, 0
         self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
@@ -297,7 +300,10 @@ class FrameSolver:
             self._statuses[result.estimate.status] += 1
         if result.estimate is not None and result.estimate.image_errors is not None:
             self._image_errors.append(result.estimate.image_errors.mean)
-            self._moved += result.estimate.status == "ok" and camera_moved(result)
+            moved = camera_moved(result)
+            self._moved += result.estimate.status == "ok" and moved
+            later = self._moved > 0 and result.estimate.status == "no_contact"
+            self._later, self._later_moved = self._later + later, self._later_moved + later * moved
         if result.estimate is not None and result.estimate.seen_share < 1.0:
             self._partly_seen += 1
             self._least_seen = min(self._least_seen, result.estimate.seen_share)
@@ -333,20 +339,25 @@ class FrameSolver:
         """Warning if depth images drift; else empty.
 
         By more than three standard deviations since the calibration, or in more images with
-        contact than chance explains since those without.
+        contact than chance explains since those without. A difference that ends with the contact
+        is no drift of the camera.
         """
         if not self._image_errors:
             return ""
-        if self._moved > max(1, 0.02 * self._statuses["ok"]):
-            cause, remedy = "", "Let the camera warm up, and check that it is fixed"
+        if self._moved > max(1, _CHANCE * self._statuses["ok"]):
+            cause, remedy = "the camera, ", "Let the camera warm up, check that it is fixed, or "
+            if self._later and self._later_moved <= _CHANCE * self._later:
+                cause = remedy = ""
             gas = self.zeros.gas
             if self._measured_pa is None or (gas is not None and gas.frozen):
-                cause = ", or the gas pressure, which is not measured, is not that of the gas law"
-                remedy = "Record the gas pressure, or check chamber_volume_m3 and the camera"
+                cause += "the gas pressure, which is not measured and is not that of the gas law, "
+                remedy = "Record the gas pressure, check chamber_volume_m3 and the camera, or "
+            cause += "or " if cause else ""
+            remedy += "identify the sensor again"
             return (
-                f"the depth image has drifted between frames without contact and "
-                f"{count_of(self._moved, 'frame')} with contact{cause}; forces of these are less "
-                f"certain. {remedy}"
+                f"depth of {count_of(self._moved, 'frame')} with contact contradicts the frames "
+                f"without, by {cause}a membrane whose shape or rubber is not that of the sensor "
+                f"file; their forces are less certain. {remedy[0].upper()}{remedy[1:]}"
             )
         estimator = self.pipeline.estimator
         by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)

@@ -104,6 +104,22 @@ def test_a_camera_that_moves_is_not_contact(offset_m):
         assert estimator.update(shifted(frame, offset_m * (k >= 17))).status == "no_contact"
 
 
+@pytest.mark.parametrize("returns", [False, True])
+def test_a_drift_of_the_camera_outlasts_the_contact(returns):
+    """What ends with the contact is an error of the membrane's model."""
+    frames, _ = press(0)
+    after = [replace(frames[k], index=k + 24, time_s=(k + 24) / 30.0) for k in range(5)]
+    offset_m = [0.0] * REST + [1e-3] * HELD + [0.0 if returns else 1e-3] * len(after)
+    moved = [
+        replace(frame, depth_m=frame.depth_m + np.float32(offset))
+        for frame, offset in zip([*frames, *after], offset_m, strict=True)
+    ]
+    warning = bv.estimate(moved, sensor()).warning
+    assert f"{HELD} frames with contact contradicts" in warning
+    assert "shape or rubber is not that of the sensor file" in warning
+    assert ("Let the camera warm up" in warning) is not returns
+
+
 def test_a_recording_and_its_frames_one_by_one_have_the_same_force():
     frames, _ = press(0)
     run = bv.estimate(frames, sensor())
