@@ -131,7 +131,7 @@ class Identification:
         if self.prestretch is not None:
             share = self.sheet_share
             rubber["prestretch"] = round(self.prestretch.value, 4)
-            rubber["sheet_share"] = share and round(min(max(share.value, 0.0), 1.0), 3)
+            rubber["sheet_share"] = share and round(share.possible(most=1.0).value, 3)
         update = {
             "membrane": _membrane_section(surfaces).model_copy(update=rubber),
             "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),

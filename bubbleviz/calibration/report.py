@@ -110,19 +110,17 @@ def write_sensor(
 
 
 def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
-    sensor, tension = found.sensor, found.tension
+    sensor, tension, gauge = found.sensor, found.tension.possible(), found.gauge.possible()
     membrane = sensor.membrane
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
-    gauge = found.gauge
     if (stretch := found.prestretch) is not None:
         known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
         known["prestretch_from"] = stretch.source
     if (share := found.sheet_share) is not None:
-        # holds the value, which is within 0 and 1
-        ends = min(share.low, 1.0), max(share.high, 0.0)
-        known["sheet_share_interval"] = round(ends[0], 3), round(ends[1], 3)
+        share = share.possible(most=1.0)
+        known["sheet_share_interval"] = round(share.low, 3), round(share.high, 3)
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
@@ -163,7 +161,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
         | {"frames": statistics.frames, "effective_frames": statistics.effective_frames},
-        "tension_n_per_m": asdict(found.tension),
+        "tension_n_per_m": asdict(found.tension.possible()),
         "tension_parts_n_per_m": found.tension_parts,
         "tension_by_surface_n_per_m": found.tension_by_surface,
         "tension_least_squares_n_per_m": found.least_squares_n_per_m,
@@ -236,9 +234,9 @@ def _rubber(found: Identification) -> dict[str, Any]:
     return {
         "prestretch": found.prestretch and asdict(found.prestretch),
         "prestretch_from": found.prestretch and found.prestretch.source,
-        "sheet_share": found.sheet_share and asdict(found.sheet_share),
+        "sheet_share": found.sheet_share and asdict(found.sheet_share.possible(most=1.0)),
         "why_not_determined": found.why_not or None,
-        "gauge_pressure_pa": gauge and asdict(gauge),
+        "gauge_pressure_pa": gauge and asdict(gauge.possible()),
         "gauge_from": found.gauge.source,
         "from": found.shapes_kind if fitted else None,
         "levels": {name: getattr(found, name) for name in names} if fitted else None,

@@ -153,7 +153,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
     part = max(found.tension_parts, key=lambda name: found.tension_parts[name])
     of_tension = _OF_TENSION[part].format(chamber=chamber_text)
-    pressures = tuple(map(pressure, (gauge.value, *gauge.positive)))
+    cut = gauge.possible()
+    pressures = tuple(map(pressure, (cut.value, cut.low, cut.high)))
     rows = [
         ("γ0", _range(found.tension.texts(2), " N/m"), found.tension.source, of_tension),
         ("gauge pressure", _range(pressures), gauge.source, chamber_text),
@@ -165,9 +166,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
         narrower = _FARTHER if vented else chamber
         rows.append(("λ", _range(stretch.texts(3)), stretch.source, narrower))
     if share is not None:
-        value, low, high = (min(max(x, 0.0), 1.0) for x in (share.value, share.low, share.high))
         narrower = _LEVELS if found.shapes_kind == "press" else _FARTHER
-        texts = Quantity(value, low, high).texts(2)
+        texts = share.possible(most=1.0).texts(2)
         rows.append(("sheet share", _range(texts), share.source, narrower))
     return [dict(zip(_COLUMNS, row, strict=True)) for row in rows]
 
@@ -183,8 +183,8 @@ def _range(texts: tuple[str, ...], unit: str = "") -> str:
 
 
 def _interval(gauge: Quantity, pressure: PressureText) -> str:
-    low, high = map(pressure, gauge.positive)
-    return f"{pressure(gauge.value)} ({low} to {high})"
+    cut = gauge.possible()
+    return f"{pressure(cut.value)} ({pressure(cut.low)} to {pressure(cut.high)})"
 
 
 def _percent(share: float) -> str:

@@ -158,17 +158,28 @@ def _deviations(sensor: Sensor, tension_n_per_m: float) -> tuple[float, float, f
     known, pneumatics = sensor.calibration, sensor.pneumatics
     gauge = tension = stretch = share = 0.0
     if known is not None:
-        gauge = _deviation(known.gauge_interval_pa)
+        gauge = _deviation(known.gauge_interval_pa, pneumatics.gauge_pressure_pa)
         by_gauge = tension_n_per_m * gauge / pneumatics.gauge_pressure_pa
-        whole = _deviation(known.tension_interval_n_per_m)
+        whole = _deviation(known.tension_interval_n_per_m, tension_n_per_m)
         tension = float(np.sqrt(max(whole**2 - by_gauge**2, 0.0)))
-        stretch = _deviation(known.prestretch_interval)
-        share = _deviation(known.sheet_share_interval)
+        stretch = _deviation(known.prestretch_interval, sensor.membrane.prestretch)
+        share = _deviation(known.sheet_share_interval, sensor.membrane.sheet_share, most=1.0)
     if pneumatics.gauge_sigma_pa is not None:
         gauge = pneumatics.gauge_sigma_pa
     return tension, gauge, stretch, share
 
 
-def _deviation(interval: tuple[float, float] | None) -> float:
-    """Standard deviation of a normal distribution with a 95 % interval; 0 where there is none."""
-    return 0.0 if interval is None else (interval[1] - interval[0]) / (2.0 * 1.96)
+def _deviation(
+    interval: tuple[float, float] | None, value: float | None, most: float = np.inf
+) -> float:
+    """Standard deviation by a value's 95 % interval; 0 where there is none.
+
+    An end at what is possible, 0 or `most`, is cut off, so only the other one counts; of an
+    interval between both, the distribution is uniform.
+    """
+    if interval is None or value is None:
+        return 0.0
+    sides = [value - interval[0]] * (interval[0] > 0.0) + [interval[1] - value] * (
+        interval[1] < most
+    )
+    return float(np.mean(sides)) / 1.96 if sides else most / float(np.sqrt(12.0))

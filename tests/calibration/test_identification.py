@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Settings, Step, Workbench, write_sensor
+from bubbleviz.calibration import Quantity, Settings, Step, Workbench, write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import balance_tension, build_mesh, least_squares_tension
+from bubbleviz.membrane import (
+    balance_tension,
+    build_mesh,
+    least_squares_tension,
+    reference_tension,
+    varied_rubber,
+)
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
 from tests.small_press import changed
@@ -120,6 +126,19 @@ def test_tension_interval_includes_the_gauge_pressure_uncertainty(twin, tmp_path
     by_gauge = (high - low) / sensor.pneumatics.gauge_pressure_pa * tension.value
     # ends that lie apart unevenly add to at most twice the squared mean
     assert 0.99 < (whole**2 - by_gauge**2) / (2.0 * by_shape.half_width) ** 2 < 2.01
+
+
+def test_bounds_in_the_file_are_possible_and_keep_the_deviation(found, tmp_path):
+    """γ0 and the gauge pressure are positive, however wide their distributions."""
+    wide = replace(found, gauge=Quantity.normal(5000.0, 4000.0))
+    write_sensor(wide, tmp_path / "wide.toml")
+    sensor = load_sensor(tmp_path / "wide.toml")
+    known = sensor.calibration
+    assert known.gauge_interval_pa[0] == known.tension_interval_n_per_m[0] == 0.0
+    sensor, mesh = changed(sensor, pneumatics={"gauge_sigma_pa": None}), build_mesh(sensor)
+    varied = varied_rubber(sensor, mesh, reference_tension(sensor, mesh))
+    assert varied[-1].gauge_pressure_pa == pytest.approx(9000.0, abs=1.0)
+    assert all(each.mean_tension < 2.0 * wide.tension.value for each in varied)
 
 
 def test_written_sensor_reads_back(found, tmp_path):
