@@ -414,7 +414,7 @@ def _force_error(pipeline: Pipeline, rest: _RestComparison) -> tuple[float | Non
     pose[:2, 3] = mesh.nodes[top, :2]
     pose[2, 3] = touching_height(ball, pose, mesh) - _PRESS_DEPTH * mesh.nodes[top, 2]
     try:
-        press = SyntheticSource(model.sensor, ball, pose[None])[0]
+        press = SyntheticSource(model, ball, pose[None])[0]
     except (InputError, SolveError):
         return None, None
     pixels = model.pixels

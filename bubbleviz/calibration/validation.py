@@ -10,12 +10,11 @@ import numpy as np
 from bubbleviz.camera import MembraneView
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import parse_pose
-from bubbleviz.membrane import ForwardModel, Gas
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import simulation_mesh
+from bubbleviz.simulation import SyntheticSource
 from bubbleviz.wording import count_of
 
 LARGEST_SHARE = 0.5
@@ -54,31 +53,32 @@ class Validation:
     ) -> Validation:
         """Predict the press of an object at a pose and compare it with frames of it.
 
-        Raises InputError: no frames, or no pixel on the membrane. Raises SolveError: the forward
-        model has no equilibrium at the pose.
+        By the membrane of the sensor file: rubber where that has a pre-stretch.
+
+        Raises InputError: no frames, no pixel on the membrane, or an object in the rim. Raises
+        SolveError: there is no equilibrium at the pose.
         """
         if not frames:
             raise InputError("validation: no frames; give at least one of the object held still")
         frame = mean_frame(frames)
-        mesh = simulation_mesh(model)  # the estimator's is too coarse
-        gas = Gas.of(model.sensor.pneumatics, mesh)
-        contact = ForwardModel(mesh, model.tension_n_per_m, gas).press(obj, T_B_O)
-        if not contact.converged:
+        press = SyntheticSource(model, obj, T_B_O[None])
+        try:
+            truth = press.truth(0)
+        except SolveError as error:
             raise SolveError(
                 f"validation: no equilibrium of the membrane with {obj.name} at this pose; correct "
                 "the pose or the object"
-            )
-        view = MembraneView(model.camera, mesh)
+            ) from error
+        view = MembraneView(model.camera, press.mesh)
         measured = model.range_image(frame.depth_m).astype(float)
-        distance = _distance(view, measured, contact.displacement_m)
-        untouched = _distance(view, measured, np.zeros(len(mesh.nodes)))
+        moved = truth.displacement_3d_m
+        distance, untouched = (_distance(view, measured, each) for each in (moved, 0.0 * moved))
         if not np.isfinite(distance).any():
             raise InputError(
                 "validation: no pixel has a valid depth on the membrane; choose other pressed "
                 "frames, or the sensor file of this camera"
             )
-        touching = (contact.contact_pressure_pa > 0.0).astype(float)
-        predicted = view.above(contact.displacement_m, touching, 0.5)
+        predicted = truth.patch_mask
         result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
         estimated = np.zeros_like(predicted)
         force = np.zeros(3)
@@ -94,7 +94,7 @@ class Validation:
             patch_overlap=np.count_nonzero(predicted & estimated) / union
             if union
             else float("nan"),
-            predicted_force_n=-(mesh.areas * contact.contact_pressure_pa) @ mesh.normals,
+            predicted_force_n=truth.force_n,
             measured_force_n=force,
         )
 

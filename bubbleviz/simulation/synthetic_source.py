@@ -161,7 +161,7 @@ class SyntheticSource:
 
     def __init__(
         self,
-        sensor: Sensor,
+        sensor: Sensor | SensorModel,
         obj: RigidObject,
         poses: np.ndarray,  # (F, 4, 4), T_B_O of every frame
         noise: DepthNoise | None = None,  # None: no noise
@@ -176,7 +176,9 @@ class SyntheticSource:
         friction: float = 0.0,
         texture: Speckle | None = None,  # printed on the membrane, for colour images
     ) -> None:
-        self.sensor, self.obj, self.poses = sensor, obj, np.asarray(poses, dtype=np.float64)
+        own = sensor if isinstance(sensor, SensorModel) else SensorModel.of(sensor)
+        self.sensor = sensor = own.sensor
+        self.obj, self.poses = obj, np.asarray(poses, dtype=np.float64)
         if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
             raise InputError(
                 f"poses: shape {self.poses.shape}; give transforms T_B_O, (frames, 4, 4)"
@@ -184,7 +186,6 @@ class SyntheticSource:
         self.noise, self.seed = noise or DepthNoise(), seed
         self.name = f"{obj.name} on {sensor.name}"
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
-        own = SensorModel.of(sensor)
         self.mesh = simulation_mesh(own, nodes)
         self.camera = own.camera
         # γ0 of the sensor's mesh: a refined polyhedron has all curvature in the old edges.

@@ -9,7 +9,7 @@ from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, SyntheticSource
+from bubbleviz.simulation import DepthNoise, SyntheticSource, touching_height
 from tests.small_press import changed
 
 TENSION = 105.0
@@ -73,3 +73,19 @@ def test_mean_of_frames_omits_pixels_missing_in_most():
     np.testing.assert_allclose(mean.depth_m, [[3.0, 3.0, np.nan, np.nan]])
     assert mean.gas_pressure_pa == pytest.approx(1e5 + 1.0)
     assert mean_frame([*frames, Frame(3, 0.0, depth[0])]).gas_pressure_pa is None
+
+
+def test_rubber_is_predicted_as_rubber(model):
+    """Constant tension predicts another force of the same press."""
+    rubber = changed(model.sensor, membrane={"prestretch": 1.3})
+    ball, pose = load_object("sphere"), np.eye(4)
+    pose[2, 3] = touching_height(ball, pose, model.mesh) - 0.016
+    source = SyntheticSource(rubber, ball, pose[None], nodes=1000)
+    truth, frames = source.truth(0).force_n, [source[0]]
+
+    def error(sensor):
+        found = Validation.of(SensorModel.of(sensor), frames, ball, pose)
+        return np.linalg.norm(found.predicted_force_n - truth) / np.linalg.norm(truth)
+
+    assert error(rubber) < 0.05
+    assert error(model.sensor) > 0.1
