@@ -140,6 +140,12 @@ class SensorModel:
         size = int(0.5 * self.mesh.edge_length * min(own.fx, own.fy) / depth)
         return min(max(1, size), _MAX_BLOCK)
 
+    def biased_depth(self, range_m: np.ndarray) -> np.ndarray:
+        """z-depth image (H, W) for true ranges, m, with the bias of the pixels in use."""
+        pixels = self.pixels
+        bias_m = 0.0 if pixels is None else np.where(pixels.mask, pixels.bias_m, 0.0)
+        return self.camera.depth_image(range_m + bias_m)
+
     def range_image(self, depth_m: np.ndarray) -> np.ndarray:
         """Calibrated range (H, W) of a z-depth image, m; NaN in unused pixels."""
         ranges = self.camera.range_image(depth_m)

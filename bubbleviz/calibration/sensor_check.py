@@ -115,7 +115,9 @@ def check_sensor(
         raise InputError(f"only {count}; give or record at least {MIN_FRAMES}")
     depths = [frame.depth_m for frame in frames]
     rest = _RestComparison(model, depths)
-    camera = _camera_row(model, rest)
+    change_m, limit_m = model.camera_change_m, rest.change_limit_m
+    todo = "choose the sensor file of this camera" if change_m > limit_m else ""
+    camera = CheckRow("camera info, rms", "mm", 1e3, change_m, None, limit_m, todo)
     fits = rest.chi2 <= rest.chi2_limit and not camera.todo
     rows = [] if quick and fits else rest.rows()
     found = SensorCheck(
@@ -149,7 +151,7 @@ def check_sensor(
         return replace(found, verdict="another", reason=reason)
     causes = [row for row in rows if row.todo]
     largest = max(causes, key=lambda row: abs(row.value or 0.0) / (row.limit or 1.0), default=None)
-    names = ", ".join(f"{row.quantity} {row.texts()[1]}" for row in causes)
+    names = ", ".join(" ".join(row.texts()[:3]).strip() for row in causes)
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
     force = "" if error is None else f", which changes a force of {press:.2g} N by {error:.2g} N"
     reason = (
@@ -229,17 +231,20 @@ class _RestComparison:
         """χ² of the mean per block."""
         return float(np.mean(self.mean_m**2 / self.mean_variance_m2))
 
+    @cached_property
+    def left_m2(self) -> np.ndarray:
+        """Squares of the mean residual (B,) without the causes, m²."""
+        return self._without(self.causes) ** 2
+
     @property
     def explained(self) -> bool:
         """Whether the residual without the causes is within the noise of one frame."""
-        residual = self._without(self.causes)
-        return bool(np.mean(residual**2 / self.frame_variance_m2) <= self.chi2_limit)
+        return bool(np.mean(self.left_m2 / self.frame_variance_m2) <= self.chi2_limit)
 
     @property
     def shape_m(self) -> float:
         """Rms over the blocks of the residual without the causes, m."""
-        residual = self._without(self.causes)
-        return float(np.sqrt(np.average(residual**2, weights=1.0 / self.frame_variance_m2)))
+        return float(np.sqrt(np.average(self.left_m2, weights=1.0 / self.frame_variance_m2)))
 
     @cached_property
     def _by_gas(self) -> tuple[np.ndarray, np.ndarray]:
@@ -278,7 +283,7 @@ class _RestComparison:
 
     @cached_property
     def causes(self) -> tuple[int, ...]:
-        """Numbers of the causes whose sizes are beyond their intervals.
+        """Numbers of the causes whose sizes are beyond their intervals and limits.
 
         Chosen one after the other, each as the one that with those before leaves the least; none
         where the change is not significant.
@@ -290,10 +295,14 @@ class _RestComparison:
             best = sets[int(np.argmin(squares))]
             # the material scales the effect of the gas, so it matters to its size only
             size, half = self._size(best, material=best[-1] != _GAS)
-            if abs(size) <= half:
+            if abs(size) <= max(half, self._limit(best[-1])):
                 break
             chosen = best
         return chosen
+
+    def _limit(self, cause: int) -> float:
+        """Size beyond which a cause alone is a misfit."""
+        return self._detectable(self.patterns[:, cause], self.mean_variance_m2)
 
     def _influence(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
         """Derivative of each cause's size by each block (k, B), in weighted least squares."""
@@ -325,13 +334,6 @@ class _RestComparison:
             errors.append(sizes[causes.index(_GAS)] * self._by_gas[1] @ influence)
         return float(sizes[-1]), HALF_95 * float(np.linalg.norm(np.concatenate(errors)))
 
-    def expected_depth_m(self) -> np.ndarray:
-        """z-depth image (H, W) of the membrane at rest, with pixel bias."""
-        ranges, pixels = self.model.view.rest_range, self.model.pixels
-        if pixels is not None:
-            ranges = ranges + np.where(pixels.mask, pixels.bias_m, 0.0)
-        return self.model.camera.depth_image(ranges)
-
     def drift_m(self) -> np.ndarray:
         """Change of the z-depth image (H, W), by blocks, m; 0 where unknown."""
         side, columns = self.observer.block, self.observer.columns
@@ -342,27 +344,22 @@ class _RestComparison:
         return np.asarray(change[block] / self.model.camera.range_per_depth)
 
     def rows(self) -> list[CheckRow]:
-        """The causes, and the residual without them."""
-        rows = []
+        """The causes, and the residual without them.
+
+        Offset, scale and gas pressure change similar patterns. If more than one cause is found,
+        none is excluded, and all are fitted together.
+        """
+        rows, together = [], self.causes if len(self.causes) < 2 else range(len(_CAUSES))
         for k, (name, unit) in enumerate(zip(_CAUSES, _UNITS, strict=True)):
-            limit = self._detectable(self.patterns[:, k], self.mean_variance_m2)
-            size, half = self._size((*(each for each in self.causes if each != k), k))
-            significant = k in self.causes and abs(size) > limit and self.explained
-            remedy = _REMEDY[k == _GAS] if significant else ""
-            rows.append(CheckRow(name, *unit, size, half, limit, remedy))
+            size, half = self._size((*(each for each in together if each != k), k))
+            remedy = _REMEDY[k == _GAS] if k in self.causes and self.explained else ""
+            rows.append(CheckRow(name, *unit, size, half, self._limit(k), remedy))
         if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown
             rows[_GAS] = replace(rows[_GAS], value=None, half_width=None, limit=None)
         remedy = "" if self.explained else "identify the sensor again"
         limit_m = self._detectable(1.0, self.frame_variance_m2)
         rows.append(CheckRow("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, remedy))
         return rows
-
-
-def _camera_row(model: SensorModel, rest: _RestComparison) -> CheckRow:
-    """Rms change of the expected ranges by the intrinsics of the recording."""
-    change_m, limit_m = model.camera_change_m, rest.change_limit_m
-    remedy = "choose the sensor file of this camera" if change_m > limit_m else ""
-    return CheckRow("camera info, rms", "mm", 1e3, change_m, None, limit_m, remedy)
 
 
 def _gas_rows(
@@ -398,8 +395,10 @@ def _another_camera(model: SensorModel, row: CheckRow) -> str:
 
 def _contact_explains(pipeline: Pipeline, frame: Frame, rest: _RestComparison) -> bool:
     """Whether a contact explains the images better than the causes of a drift."""
-    mean = (rest.expected_depth_m() + rest.drift_m()).astype(np.float32)
-    found = pipeline.estimate_once(replace(frame, depth_m=mean, gas_pressure_pa=None))
+    model = pipeline.model
+    mean = model.biased_depth(model.view.rest_range) + rest.drift_m()
+    frame = replace(frame, depth_m=mean.astype(np.float32), gas_pressure_pa=None)
+    found = pipeline.estimate_once(frame)
     return found.status == "ok" and found.residual_rms_m < rest.shape_m
 
 
@@ -417,9 +416,7 @@ def _force_error(pipeline: Pipeline, rest: _RestComparison) -> tuple[float | Non
         press = SyntheticSource(model, ball, pose[None])[0]
     except (InputError, SolveError):
         return None, None
-    pixels = model.pixels
-    bias = 0.0 if pixels is None else np.where(pixels.mask, pixels.bias_m, 0.0)
-    undrifted = model.camera.depth_image(press.depth_m * model.camera.range_per_depth + bias)
+    undrifted = model.biased_depth(press.depth_m * model.camera.range_per_depth)
     forces = []
     for depth in (undrifted, undrifted + rest.drift_m()):
         frame = replace(press, depth_m=depth.astype(np.float32))

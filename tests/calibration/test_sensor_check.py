@@ -140,6 +140,18 @@ def test_intervals_hold_the_truth_of_another_solver(dome, level, change_pa):
     assert told == ["gas pressure change from the shape"]
 
 
+def test_intervals_hold_two_changes_together(dome):
+    """Whose effects are similar: the intervals say that the shape alone hardly tells them apart."""
+    sensor, frames = dome
+    source = frames("high", 13)
+    shifted = with_depth([source[k] for k in range(10)], lambda depth: depth + 2e-4)
+    found = bv.check(shifted, sensor)
+    assert found.verdict == "drifted" and "inflate the sensor" in found.reason
+    truth = {"depth offset": 2e-4, "gas pressure change from the shape": 788.7}
+    for row in found.rows[:5]:
+        assert abs(row.value - truth.get(row.quantity, 0.0)) < row.half_width, row
+
+
 def test_a_tilt_of_depth(dome):
     sensor, frames = dome
     source = frames("rest", 12)
