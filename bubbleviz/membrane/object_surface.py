@@ -104,7 +104,7 @@ class Creases:
     """Points along the convex edges of an object, in O."""
 
     tree: Any  # of the points (c, 3)
-    normals: np.ndarray  # (c, 2, 3), of the two faces that meet there
+    normals: np.ndarray  # (c, 2, 3), of the two faces that meet there, smooth along them
 
 
 class ObjectSurface:
@@ -153,14 +153,16 @@ class ObjectSurface:
         return Closest(place, normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
     def sample(self, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        """Points (count, 3) spread evenly over the surface, and their normals, in O."""
+        """Points (count, 3) spread evenly over the surface, and their smooth normals, in O."""
         random = np.random.default_rng(seed)
         shares = self.facet_areas / self.facet_areas.sum()
         facet = random.choice(len(shares), count, p=shares)
         a, b = random.random((2, count))
         a, b = np.where(a + b > 1.0, 1.0 - a, a), np.where(a + b > 1.0, 1.0 - b, b)
         weights = np.column_stack([1.0 - a - b, a, b])
-        return np.einsum("ij,ijk->ik", weights, self._corners[facet]), self.facet_normals[facet]
+        normals = np.einsum("ij,ijk->ik", weights, self._corner_normals[facet])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.einsum("ij,ijk->ik", weights, self._corners[facet]), normals
 
     @cached_property
     def creases(self) -> Creases | None:
@@ -170,19 +172,30 @@ class ObjectSurface:
         facet, corner = np.nonzero(
             (across > np.arange(len(across))[:, None]) & (sides > CREASE_RAD)
         )
-        a, b = (self._corners[facet, (corner + k) % 3] for k in (1, 2))
-        first, second = self.facet_normals[facet], self.facet_normals[across[facet, corner]]
+        ends = (corner[:, None] + [1, 2]) % 3  # of the edge, in the first facet
+        other = across[facet, corner]
+        first, second = self.facet_normals[facet], self.facet_normals[other]
         # Counter-clockwise around the first face: out of it is along × normal.
+        a, b = self._corners[facet, ends[:, 0]], self._corners[facet, ends[:, 1]]
         convex = np.einsum("ij,ij->i", second, cross(b - a, first)) > 0.0
         if not convex.any():
             return None
-        a, b, first, second = a[convex], b[convex], first[convex], second[convex]
-        count = np.ceil(np.linalg.norm(b - a, axis=1) / (_STEP * self.size_m)).astype(int)
-        edge = np.repeat(np.arange(len(a)), count)
+        facet, other, ends = facet[convex, None], other[convex, None], ends[convex]
+        same = self.triangles[other] == self.triangles[facet, ends][:, :, None]
+        corners = self._corners[facet, ends]  # (c, 2, 3), and their normals, (c, 2, 2, 3)
+        normals = np.stack(
+            [self._corner_normals[facet, ends], self._corner_normals[other, same.argmax(axis=2)]],
+            axis=2,
+        )
+        length = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1)
+        count = np.ceil(length / (_STEP * self.size_m)).astype(int)
+        edge = np.repeat(np.arange(len(corners)), count)
         step = np.arange(len(edge)) - np.repeat(np.cumsum(count) - count, count)
-        share = ((step + 0.5) / count[edge])[:, None]
-        points = (1.0 - share) * a[edge] + share * b[edge]
-        return Creases(cKDTree(points), np.stack([first, second], axis=1)[edge])
+        share = (step + 0.5) / count[edge]
+        weights = np.column_stack([1.0 - share, share])
+        smooth = np.einsum("ce,cefi->cfi", weights, normals[edge])
+        smooth /= np.linalg.norm(smooth, axis=2, keepdims=True)
+        return Creases(cKDTree(np.einsum("ce,cei->ci", weights, corners[edge])), smooth)
 
     def crossings(
         self, points: np.ndarray, directions: np.ndarray

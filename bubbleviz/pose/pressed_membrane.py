@@ -28,9 +28,9 @@ from bubbleviz.membrane import (
     cross,
     midway,
 )
-from bubbleviz.pose.motion import motion_between
+from bubbleviz.pose.motion import motion_between, rows
 from bubbleviz.pose.pose_options import PressOptions
-from bubbleviz.pose.registration import ContactPoints
+from bubbleviz.pose.registration import ContactPoints, directions
 
 # Contact of an object with the membrane: points of the object against triangles of the membrane.
 #
@@ -88,6 +88,7 @@ class Touching:
     # (c, 3), direction in which the object pushes the membrane, out of the object: that of a face,
     # on an edge the membrane's, limited to the cone of the normals of both faces
     normals: np.ndarray
+    faces: np.ndarray  # (2, c, 3), normals of both faces at an edge, elsewhere twice the same
     force_n: np.ndarray  # (c,), contact force; negative if tensile
     # (c, 3, 3), derivative of that force on each corner by motion of the point over the triangle:
     # the penetration changes, and the load passes from corner to corner
@@ -202,6 +203,7 @@ class ObjectContact:
             corners=corners,
             weights=weights,
             normals=pushing,
+            faces=normals[inside].swapaxes(0, 1),
             force_n=force_n,
             slopes_n_per_m=slopes,
             edge=self._edge[kept],
@@ -290,12 +292,12 @@ class PressedMembrane:
             motion = motion_between(self._last.T_B_O, T_B_O, self._last.center)
             step = self._limited(np.einsum("q,qni->ni", motion, self._last.slopes))
             start = self._last.nodes + step
-            self._last = self._solve(part, start, T_B_O, contact.center, friction, gas)
+            self._last = self._solve(part, start, T_B_O, contact, friction, gas)
         if self._last is None:
             self._object.reset()
             estimated = midway(contact.membrane, part.ends)
             start = np.where(part.mesh.rim[:, None], part.mesh.nodes, estimated)
-            self._last = self._solve(part, start, T_B_O, contact.center, friction, gas)
+            self._last = self._solve(part, start, T_B_O, contact, friction, gas)
         return self._last
 
     def _around(self, contact: ContactPoints) -> Submodel:
@@ -315,7 +317,7 @@ class PressedMembrane:
         part: Submodel,
         x: np.ndarray,
         T_B_O: np.ndarray,
-        center: np.ndarray,
+        contact: ContactPoints,
         friction: np.ndarray,
         gas: Gas | HeldPressure,
     ) -> Press | None:
@@ -336,7 +338,7 @@ class PressedMembrane:
             self._object.expect(touching, step)
             x = x + step
             if np.abs(step).max() < self._options.converged_m:
-                return _pressed(part, x, T_B_O, center, touching, tangent)
+                return _pressed(part, x, T_B_O, contact, touching, tangent)
         return None
 
     def _limited(self, step: np.ndarray) -> np.ndarray:
@@ -345,15 +347,20 @@ class PressedMembrane:
         return step * min(1.0, self._options.max_step_m / max(longest_m, 1e-300))
 
 
+_SLIDING = np.sin(np.radians(1.0))
+"""Share of a motion across the object's surface, root mean square over the contact, below which the
+surface slides in itself: normals interpolated between facets are known no better."""
+
+
 def _pressed(
     part: Submodel,
     x: np.ndarray,
     T_B_O: np.ndarray,
-    center: np.ndarray,
+    contact: ContactPoints,
     touching: Touching,
     tangent: Tangent,
 ) -> Press:
-    n, triangles = len(x), part.mesh.triangles
+    n, center, triangles = len(x), contact.center, part.mesh.triangles
     unit, arms = np.eye(3), touching.points - center
     motions = [np.broadcast_to(axis, arms.shape) for axis in unit]
     motions += [np.cross(axis, arms) for axis in unit]
@@ -363,4 +370,10 @@ def _pressed(
     on_face[touching.triangle] = True
     on_face[touching.triangle[touching.edge]] = False
     slopes = tangent.moved(pulls)
-    return Press(T_B_O, center, part, x, slopes[:6], slopes[6], touching.push(n), on_face)
+    # Where a body of revolution spins, its facets move, but the surface that they approximate does
+    # not: nor does the membrane.
+    across = np.concatenate([rows(face, touching.points, center) for face in touching.faces])
+    found = directions(across.T @ across / max(len(across), 1), contact.radius_m)
+    seen = found.motions * (_SLIDING * found.deviation_m < 1.0) @ np.linalg.inv(found.motions)
+    own = np.einsum("pq,pni->qni", seen, slopes[:6])
+    return Press(T_B_O, center, part, x, own, slopes[6], touching.push(n), on_face)

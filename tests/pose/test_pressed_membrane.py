@@ -133,6 +133,19 @@ def test_jacobian_of_tilts_is_within_a_tenth(pipeline, rubber, contact, motion, 
     assert ratio == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("name", "axes", "height_m"), [("sphere", np.eye(3), 0.015), ("cylinder", np.eye(3)[2:], 0.0)]
+)
+def test_spin_of_a_round_object_moves_no_membrane(pipeline, rubber, contact, name, axes, height_m):
+    """Facets of its mesh move, the surface that they stand for does not."""
+    press = pressed(pipeline, rubber, name).press(pose(), contact)
+    moved_m = np.linalg.norm(press.slopes, axis=2).max(axis=1)
+    assert moved_m[0] > 0.1
+    middle = pose()[:3, 3] + [0.0, 0.0, height_m]
+    spins = np.hstack([np.cross(axes, contact.center - middle), axes])
+    assert np.abs(np.einsum("sq,qni->sni", spins, press.slopes)).max() < 1e-4  # of 12 mm per rad
+
+
 def test_rounded_edges_release_the_membrane(pipeline, rubber, contact):
     puck = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
     mesh = puck.part.mesh

@@ -105,6 +105,27 @@ def test_without_a_start_it_is_searched_for(pipeline, source):
     assert pose.T_B_O[2, 2] > np.cos(np.radians(4.0))
 
 
+@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, 0.2, 0.5), None])
+def test_turn_of_a_resting_ball_stays_unknown(pipeline, sensor, turn):
+    """Only its centre is determined, whatever the facets of its mesh."""
+    start = moved(np.eye(4), np.array([3e-3, 2e-3, 0.042, *(turn or np.zeros(3))]), np.zeros(3))
+    middle, prior_deg = np.array([0.0, 0.0, 0.015]), 6.0 if turn else 20.0
+    resting = SyntheticSource(
+        sensor,
+        study_object("sphere"),
+        np.repeat(start[None], 4, axis=0),
+        DepthNoise(relative=0.005),
+    )
+    pipeline.track(resting.obj, None if turn is None else start)
+    poses = [pipeline.process(resting[k], PRODUCTS).pose for k in range(4)]
+    for pose in poses:
+        assert np.linalg.norm((pose.T_B_O - start) @ [*middle, 1.0]) < 5e-4
+        assert np.degrees(np.sqrt(np.diag(pose.covariance)[3:])).min() > 0.9 * prior_deg
+    # It does not turn by noise either.
+    off = motion_between(poses[0].T_B_O, poses[-1].T_B_O, poses[0].center_m)
+    assert np.degrees(np.linalg.norm(off[3:])) < 0.5
+
+
 def test_status_without_contact_or_data(pipeline, source, sensor):
     far = np.eye(4)
     far[2, 3] = 1.0
