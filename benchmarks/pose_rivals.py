@@ -17,7 +17,6 @@ from bubbleviz.pose import (
     ContactPoints,
     Motion,
     PoseTracker,
-    Prior,
     Registration,
     contact_points,
     moved,
@@ -201,7 +200,7 @@ class _Bench:
 
     def _stage_one(self, contact: ContactPoints, start: np.ndarray) -> np.ndarray:
         prior = Motion.at_rest(start, START_DEVIATION, contact.center)
-        return self._registration.stage_one(contact, Prior(start, prior.information)).T_B_O
+        return self._registration.stage_one(contact, prior).T_B_O
 
     def _both(self, result: Result, start: np.ndarray) -> np.ndarray | None:
         tracker = self._tracker

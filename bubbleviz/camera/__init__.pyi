@@ -45,4 +45,6 @@ from .pixel_model import (
 from .raycast import (
     MembraneView as MembraneView,
     RayCaster as RayCaster,
+    sparse_rows as sparse_rows,
+    vector_columns as vector_columns,
 )

@@ -31,7 +31,6 @@ from .registration import (
     ContactPoints as ContactPoints,
     Directions as Directions,
     Precision as Precision,
-    Prior as Prior,
     Registration as Registration,
     contact_points as contact_points,
     directions as directions,

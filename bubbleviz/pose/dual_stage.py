@@ -23,7 +23,7 @@ from bubbleviz.pose.motion import (
 )
 from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import PressedMembrane
-from bubbleviz.pose.registration import ContactPoints, Fit, Prior, Registration, directions
+from bubbleviz.pose.registration import ContactPoints, Fit, Registration, directions
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Stage
 
@@ -70,16 +70,6 @@ def _stage(fit: Fit, ms: float) -> Stage:
     return Stage(fit.T_B_O, fit.fitness, fit.rmse_m, fit.correspondences, fit.history, ms)
 
 
-@dataclass(frozen=True)
-class _Found:
-    """A fit, the prediction with a consistent covariance, and the information of this frame."""
-
-    fit: Fit
-    predicted: Motion
-    information: np.ndarray  # (6, 6)
-    persistent: np.ndarray  # as of `Solution`
-
-
 class Solver:
     """Runs the stages."""
 
@@ -109,35 +99,33 @@ class Solver:
     ) -> Solution:
         """Both stages from a prediction; while `tracking` it is close."""
         iterations = _TRACKING_ITERATIONS if tracking else _FIRST_ITERATIONS
-        prior = Prior(predicted.T_B_O, predicted.information)
         began = time.perf_counter()
         first = self._registration.stage_one(
             contact,
-            prior,
+            predicted,
             widest_m=_PREDICTION_ERROR_M if tracking else _START_ERROR_M,
             iterations=iterations,
         )
         between = time.perf_counter()
-        second = self._registration.stage_two(contact, first, prior, iterations=iterations)
-        found = self._image_fit(frame, contact, second, predicted, tracking)
+        fit = self._registration.stage_two(contact, first, predicted, iterations=iterations)
+        found = self._image_fit(frame, contact, fit, predicted, tracking)
         if found is None:
-            information = second.surface + second.outline
-            found = _Found(
-                second, predicted, information, np.linalg.inv(information + START_INFORMATION)
-            )
-        motion = found.predicted.corrected(found.fit.T_B_O, found.information)
+            motion = predicted.corrected(fit.T_B_O, fit.surface)
+            persistent = np.linalg.inv(fit.surface + START_INFORMATION)
+        else:
+            motion, persistent = found
+            fit = self._registration.at(contact, fit, motion.T_B_O)
         times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
-        return Solution(first, found.fit, times, motion, found.persistent)
+        return Solution(first, fit, times, motion, persistent)
 
     def best(
         self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
     ) -> Solution | None:
         """Both stages from the best of initial poses (s, 4, 4); None if none fits."""
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
-        priors = [Prior(motion.T_B_O, motion.information) for motion in motions]
         coarse = [
-            self._registration.stage_one(contact, prior, iterations=_SEARCH_ITERATIONS)
-            for prior in priors
+            self._registration.stage_one(contact, motion, iterations=_SEARCH_ITERATIONS)
+            for motion in motions
         ]
         found = [
             self.solve(
@@ -153,8 +141,8 @@ class Solver:
 
     def _image_fit(
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
-    ) -> _Found | None:
-        """The fit refined with the depth image; None if no press is found."""
+    ) -> tuple[Motion, np.ndarray] | None:
+        """Motion and persistent covariance by the depth image; None if no press is found."""
         options, directed = self._options, directions(fit.surface, contact.radius_m)
         center, radius_m = contact.center, contact.radius_m
         T = fit.T_B_O
@@ -184,8 +172,7 @@ class Solver:
             if self._image.covers(T, contact, valid_m):
                 break
         assert step is not None  # there is at least one
-        moved_fit = self._registration.at(contact, fit, T)
-        return _Found(moved_fit, predicted, step.information, step.persistent)
+        return predicted.corrected(T, step.information), step.persistent
 
 
 # Search for initial poses: each face on the patch, at each of several angles about its normal.

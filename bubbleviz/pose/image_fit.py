@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
 
-from bubbleviz.camera import MAD, RangeObserver, RayCaster
+from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
 from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, way_at
 from bubbleviz.pose.pose_options import ImageOptions
@@ -190,19 +189,15 @@ class ImageFit:
         pixel = np.flatnonzero(away < contact.extent_m + self._options.around_m)
         every = max(1, -(-len(pixel) // self._options.max_pixels))
         pixel = pixel[::every]
-        rays = self._directions[pixel]
-        caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
+        center, rays = self._observer.camera.center, self._directions[pixel]
+        caster = RayCaster(center, rays, mesh.triangles)
         hits = caster.cast(press.nodes)
-        pixel, rays = pixel[hits.ray], rays[hits.ray]
-        corners = mesh.triangles[hits.triangle]
-        vectors = area_vectors(press.nodes, mesh.triangles)
-        facet = vectors[hits.triangle]
-        facet /= np.einsum("bi,bi->b", rays, facet)[:, None]
-        by_node = (hits.barycentric[:, :, None] * facet[:, None]).ravel()
-        columns = (3 * corners[:, :, None] + np.arange(3)).ravel()
-        starts = np.arange(0, len(columns) + 1, 9)
+        pixel = pixel[hits.ray]
+        values = hits.barycentric[:, :, None] * caster.slopes(press.nodes, hits)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
-        J = sparse.csr_array((by_node, columns, starts), (len(rays), slopes.shape[1])) @ slopes.T
+        columns = vector_columns(mesh.triangles)[hits.triangle]
+        J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
+        vectors = area_vectors(press.nodes, mesh.triangles[np.unique(hits.triangle)])
         return PredictedImage(
             T_B_O=press.T_B_O,
             center=press.center,
@@ -212,5 +207,5 @@ class ImageFit:
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
-            area_m2=float(np.linalg.norm(vectors[np.unique(hits.triangle)], axis=1).sum()),
+            area_m2=float(np.linalg.norm(vectors, axis=1).sum()),
         )

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
-from bubbleviz.pose.motion import motion_between, moved, rows, way_at
+from bubbleviz.pose.motion import Motion, motion_between, moved, rows, way_at
 from bubbleviz.result import Estimate, Patch
 
 # Points of the estimated membrane on and around the contact.
@@ -209,15 +209,6 @@ class Precision:
 
 
 @dataclass(frozen=True)
-class Prior:
-    """Knowledge of the pose before a frame."""
-
-    T_B_O: np.ndarray  # (4, 4)
-    # (6, 6), inverse covariance of small motions in B about the patch's centre
-    information: np.ndarray
-
-
-@dataclass(frozen=True)
 class Fit:
     """A pose and how well it fits."""
 
@@ -228,9 +219,6 @@ class Fit:
     cost: float  # robust misfit in units of the noise, squared; lower is better
     # (6, 6), information of the contact normals about small motions in B about the patch's centre
     surface: np.ndarray
-    # (6, 6), information of the other residuals (points outside the object's outline, free
-    # membrane), about translations only
-    outline: np.ndarray
     distance: ObjectDistance  # of the contact points, then of the free ones
     history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
 
@@ -254,10 +242,6 @@ class _Term:
         return _Term(self.H + other.H, self.g + other.g, self.cost + other.cost)
 
 
-_SHIFTS = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
-"""Points outside the outline are too noisy to determine rotations."""
-
-
 _At = tuple[np.ndarray, ObjectDistance]
 """A pose (4, 4), and the distances of contact points and free ones from the object there."""
 
@@ -271,7 +255,7 @@ class Registration:
     def stage_one(
         self,
         contact: ContactPoints,
-        prior: Prior,  # the fit starts at its pose
+        prior: Motion,  # the fit starts at its pose
         *,
         # initial scale of the robust weights: possible error of the initial pose
         widest_m: float = 5e-3,
@@ -287,7 +271,7 @@ class Registration:
         self,
         contact: ContactPoints,
         first: Fit,  # of stage one
-        prior: Prior,
+        prior: Motion,
         *,
         widest_m: float = 2e-3,
         iterations: int = 12,
@@ -309,13 +293,13 @@ class Registration:
         contact: ContactPoints,
         share_m2: np.ndarray,
         begun: _At,
-        prior: Prior,
+        prior: Motion,
         widest_m: float,
         iterations: int,
         *,
         around: bool,
     ) -> Fit:
-        (T, distance), scale = begun, widest_m
+        (T, distance), scale, known = begun, widest_m, prior.information
         history = []
         for _ in range(iterations):
             on, free = distance.split(len(contact.points))
@@ -324,8 +308,8 @@ class Registration:
             total += self._outside(contact, share_m2, on, scale)
             if around:
                 total += self._free(contact, free)
-            pull = prior.information @ motion_between(prior.T_B_O, T, contact.center)
-            step = -np.linalg.solve(total.H + prior.information, total.g + pull)
+            pull = known @ motion_between(prior.T_B_O, T, contact.center)
+            step = -np.linalg.solve(total.H + known, total.g + pull)
             T, distance = self._at(contact, moved(T, step, contact.center))
             converged = way_at(contact.radius_m, step) < _CONVERGED_M and scale == _NARROWEST_M
             scale = max(_NARROWING * scale, _NARROWEST_M)
@@ -347,7 +331,6 @@ class Registration:
             correspondences=count,
             cost=surface.cost + outline.cost,
             surface=surface.H,
-            outline=_SHIFTS @ outline.H @ _SHIFTS,
             distance=distance,
             history=np.array([*history, (fitness, rmse)]),
         )
@@ -416,11 +399,6 @@ class Directions:
     # (6,), standard deviation of each at the patch's edge by the contact normals only
     deviation_m: np.ndarray
     determined: np.ndarray  # (6,) bool
-
-    @property
-    def open(self) -> np.ndarray:
-        """The motions that the contact does not determine, (6, q)."""
-        return self.motions[:, ~self.determined]
 
 
 def directions(surface: np.ndarray, radius_m: float) -> Directions:
