@@ -203,14 +203,14 @@ class Pipeline:
 
     @property
     def start(self) -> Start | None:
-        """Warm start by the contact of the last frame, without its factorisation.
+        """Warm start by the contact of the last frame by depth alone, without its factorisation.
 
         None without contact, and with estimators of other packages.
         """
         start = self._state
         if not isinstance(start, Start) or start.state is None:
             return None
-        return replace(start, tangent=None, view=None)
+        return replace(start, tangent=None, view=None, by_flow=None)
 
     def converge(self, frame: Frame) -> None:
         """Warm-start the next solve from the converged solution of this frame.

@@ -127,6 +127,8 @@ class Estimate:
         Errors of the entire depth image since calibration; None if not known.
     flow : FlowFit or None
         None where no optical flow of a contact was used.
+    flow_contradicts : bool
+        Whether it was not used as it contradicts the depth image.
     """
 
     status: Status
@@ -149,6 +151,7 @@ class Estimate:
     seen_share: float = np.nan
     image_errors: ImageErrors | None = None
     flow: FlowFit | None = None
+    flow_contradicts: bool = False
 
     @property
     def trusted(self) -> bool:
@@ -263,8 +266,8 @@ class Patch:
 
 
 TractionStatus = Literal["ok", "no_contact", "depth_alone", "no_data", "not_converged"]
-"""`depth_alone`: no visible texture in the contact, so friction is known by depth alone: two slides
-and a spin of each contact."""
+"""`depth_alone`: no texture of the contact is seen, or colour contradicts depth. Friction is then
+known by depth alone: two slides and a spin of each contact."""
 
 
 @dataclass(frozen=True)

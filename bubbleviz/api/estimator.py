@@ -284,6 +284,7 @@ class FrameSolver:
         # frames with contact, and those without after the first that moved; of both, the ones
         # whose image contradicts its known errors
         self._moved, self._later, self._later_moved = 0, 0, 0
+        self._by_depth_only = 0  # frames in which colour contradicts depth
         self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
@@ -298,6 +299,7 @@ class FrameSolver:
                 self.texture.take(result)
         if result.estimate is not None:
             self._statuses[result.estimate.status] += 1
+            self._by_depth_only += result.estimate.flow_contradicts
         if result.estimate is not None and result.estimate.image_errors is not None:
             self._image_errors.append(result.estimate.image_errors.mean)
             moved = camera_moved(result)
@@ -321,6 +323,7 @@ class FrameSolver:
             self._drift_warning(),
             self._friction_warning(),
             self._edge_warning(),
+            self._colour_warning(),
         )
         return [text for text in found if text]
 
@@ -396,6 +399,15 @@ class FrameSolver:
             f"({100 * self._least_seen:.0f} % of its area or more); the force on the unseen part "
             "is inferred from the membrane around it and less certain. Press nearer to the middle "
             "of the image"
+        )
+
+    def _colour_warning(self) -> str:
+        """Warning if colour contradicts depth; else empty."""
+        if not self._by_depth_only:
+            return ""
+        return (
+            f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
+            "solved by depth alone; their stamps may be of different moments. Give --colour-delay"
         )
 
     def _sensor_warning(self, where: str) -> str:

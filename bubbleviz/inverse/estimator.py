@@ -10,12 +10,13 @@ import numpy as np
 from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError, check_number
 from bubbleviz.inverse.contact_problem import smoothness
-from bubbleviz.inverse.friction import FRICTION
+from bubbleviz.inverse.friction import FRICTION, contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import IMAGE_ERROR, GaussNewton
 from bubbleviz.inverse.iteration import Iteration, SolvedFrame, Start, is_untouched
 from bubbleviz.inverse.measurements import FrameData
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
+    IMPLAUSIBLE_MISFIT,
     STATUS_REASONS,
     reason_against_fit,
     reason_against_gas,
@@ -208,12 +209,32 @@ class Estimator:
         gas = behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
             return no_estimate(self.mesh, "implausible", beyond), Start()
-        data = FrameData(self.observer.measure(depth_m), gas, flow, image_errors)
+        data = FrameData(self.observer.measure(depth_m), gas, None, image_errors)
         found = self._solve_frame(newton, data, start)
         if start.state is not None and found[0].status in ("not_converged", "implausible"):
             # a warm start far from the solution, as after a jump, may fail where rest does not
-            return self._solve_frame(newton, data, Start())
-        return found
+            found = self._solve_frame(newton, data, Start())
+        if flow is None:
+            return found
+        return self._with_flow(newton, replace(data, flow=flow), start, *found)
+
+    def _with_flow(
+        self, newton: GaussNewton, data: FrameData, before: Start, alone: Estimate, start: Start
+    ) -> tuple[Estimate, Start]:
+        """Estimate by depth and flow, and the next warm start, from those by depth alone.
+
+        `before` is the warm start of this frame. Optical flow of another moment, or of something
+        else than the membrane, pulls the shape away from the depth image: then the estimate is that
+        by depth alone.
+        """
+        assert data.flow is not None
+        pressure, seen = alone.contact_pressure_pa, data.flow.seen
+        if not contacts_seen_by_flow(pressure, self.mesh.rings, seen).any():
+            return alone, start
+        both, by_flow = self._solve_frame(newton, data, _nearest(before, start))
+        if _contradict(alone, both):
+            return replace(alone, flow_contradicts=True), start
+        return both, replace(start, by_flow=by_flow)
 
     def _solve_frame(
         self, newton: GaussNewton, data: FrameData, start: Start
@@ -284,6 +305,35 @@ class Estimator:
             image_errors=answer.image_errors,
             flow=answer.flow,
         )
+
+
+def _nearest(before: Start, alone: Start) -> Start:
+    """Start by flow: from the frame by depth alone, or from the one before it by flow.
+
+    The latter where less has happened since than flow had changed there.
+    """
+    last = before.by_flow
+    if last is None or last.state is None or before.state is None or alone.state is None:
+        return alone
+    moved, by_flow = (np.abs(each.x - before.state.x).max() for each in (alone.state, last.state))
+    if moved > by_flow:
+        return alone
+    return replace(last, state=replace(last.state, support=alone.state.support))
+
+
+def _contradict(alone: Estimate, both: Estimate) -> bool:
+    """Whether the force by depth alone excludes that by depth and flow, or there is none by both.
+
+    By `IMPLAUSIBLE_MISFIT` in any direction, as of a measured gas pressure. Both have partly the
+    same errors: the sum of their covariances is an upper bound.
+    """
+    if not both.trusted:
+        return True
+    assert alone.force_n is not None and alone.wrench_covariance is not None
+    assert both.force_n is not None and both.wrench_covariance is not None
+    apart = both.force_n - alone.force_n
+    covariance = (alone.wrench_covariance + both.wrench_covariance)[:3, :3]
+    return bool(apart @ np.linalg.solve(covariance, apart) > IMPLAUSIBLE_MISFIT**2)
 
 
 def no_estimate(

@@ -200,13 +200,8 @@ class GaussNewton:
         self._weight = float(weight.sum())
         self.weight_density = float(weight.sum() / mesh.facet_areas.sum())
 
-    def observe(
-        self, data: FrameData, state: State, last: ShapeRanges | None, by_flow: bool = False
-    ) -> LinearisedFrame:
-        """Camera model and residual at a state, with those of the optical flow or without.
-
-        `last` is a model at a shape nearby.
-        """
+    def observe(self, data: FrameData, state: State, last: ShapeRanges | None) -> LinearisedFrame:
+        """Camera model and residual at a state; `last` is a model at a shape nearby."""
         at_rest = state is self.rest
         view = self._view_at_rest if at_rest else self.observer.around(state.x, last)
         prior = data.image_errors or self.image_prior
@@ -215,8 +210,7 @@ class GaussNewton:
         observation = self.observer.weigh(data.ranges, expected)
         errors_m = self.observer.image_errors[view.block]
         measured_m = observation.residual_m[view.block] - errors_m @ prior.mean
-        used = data.flow if by_flow else None
-        flow = None if used is None else FlowResidual.at(state.x, used)
+        flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
         return LinearisedFrame(view, observation, measured_m, errors_m @ prior.units, prior, flow)
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:

@@ -74,6 +74,8 @@ class Start:
         Scales of its prior of slides and spins, likewise.
     view : ShapeRanges or None
         Camera model at the last shape at which it was computed.
+    by_flow : Start or None
+        The same by depth and optical flow; all else is by depth alone.
     """
 
     state: State | None = None
@@ -81,6 +83,7 @@ class Start:
     noise: Noise = AS_EXPECTED
     friction_scales: tuple[float, float] = WIDEST
     view: ShapeRanges | None = None
+    by_flow: Start | None = None
 
 
 @dataclass(frozen=True)
@@ -145,8 +148,9 @@ class Iteration:
        left out: they explain noise by a few nodes that depend on the frames before, and change
        the force by up to 3 %. Friction and errors of the whole image are fitted only near the
        solution (after a step to an equilibrium that was not cut off), where they hardly explain
-       errors of the linearisation. Optical flow counts only
-       there, and only with a contact: no unknown but friction explains motion along the membrane.
+       errors of the linearisation. With optical flow, for which the start must be the solution by
+       depth alone, the support remains that one: tractions at all of its nodes could explain all
+       of a light contact, without any pressure.
     3. Once the shape has converged, select the support again, until it is complete.
     4. Update the noise factor, by which the image is weighted, from the residual of each step
        to an equilibrium; repeat from 1 until noise and solution agree, so that the result does
@@ -172,13 +176,13 @@ class Iteration:
         self._warm = start.state is not None
         self._state, self._view = start.state or newton.rest, start.view
         self._tangent = start.tangent
-        self._noise = start.noise if data.flow is not None else start.noise._replace(flow=0.0)
+        self._noise = start.noise
         self._friction_scales = start.friction_scales if self._warm else WIDEST
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         self._raised: list[Noise] = []  # factors that a step before convergence was raised from
         self._settings: list[tuple[Noise, tuple[float, float]]] = []  # of converged solutions
         self._near = self._warm  # the errors of the linearisation are small
-        self._following = self._observe(by_flow=True) if self._warm else None
+        self._following = self._observe() if self._warm else None
         self._image_shows_rest = self._following is None or newton.shows_rest(
             self._following, self._state.pressure
         )
@@ -202,7 +206,7 @@ class Iteration:
             if np.abs(self._state.x - newton.mesh.nodes).max() > newton.length_m:
                 break
             first = self._warm and self._steps == 1 and not self._noises
-            if first and self._restarts_from_rest(observed):
+            if first and data.flow is None and self._restarts_from_rest(observed):
                 return Iteration(newton, data, Start()).solve()
             if failure := _reject_image(newton, observed, self._state):
                 return failure
@@ -210,7 +214,7 @@ class Iteration:
             no_contact = at_rest and newton.fits_without_contact(observed, data.gas_pa)
             self._near = self._near or no_contact
             rounds = _SELECTION_ROUNDS if self._noise_known else 1
-            rounds *= self._selecting and not no_contact
+            rounds *= self._selecting and not no_contact and data.flow is None
             fit_image = self._near and self._image_shows_rest
             step = newton.step(
                 newton.tangent_at(self._state, data.gas_pa, self._tangent, self._motion_m),
@@ -244,16 +248,15 @@ class Iteration:
         """Whether the last step was large: motion along the membrane hardly changes an image."""
         return min(self._motion_m, self._normal_motion_m) > self._large_m
 
-    def _observe(self, *, by_flow: bool) -> LinearisedFrame:
-        return self._newton.observe(self._data, self._state, self._view, by_flow)
+    def _observe(self) -> LinearisedFrame:
+        return self._newton.observe(self._data, self._state, self._view)
 
     def _linearised(self) -> LinearisedFrame:
         """The frame, linearised at the present shape.
 
         Counts the consecutive large steps that hardly reduced the misfit.
         """
-        by_flow = self._near and bool(self._state.pressure.any())
-        observed = self._following or self._observe(by_flow=by_flow)
+        observed = self._following or self._observe()
         self._following = None
         if observed.flow is not None and not self._noise.flow:
             # Friction has not explained any of it yet: steps with too small a factor diverge.
@@ -298,12 +301,9 @@ class Iteration:
         if self._near and self._image_shows_rest:
             self._image_shows_rest = newton.shows_rest(observed, step.contact.pressure)
         if first and step.state.balanced and self._settled_m < motion <= self._reuse_m:
-            self._following = self._observe(by_flow=True)
+            self._following = self._observe()
             converged = _was_linear(newton, step, observed, self._following)
-        converged = converged and fit_image == (self._near and self._image_shows_rest)
-        if self._data.flow is not None and observed.flow is None:
-            converged = converged and not step.contact.pressure.any()
-        return converged
+        return converged and fit_image == (self._near and self._image_shows_rest)
 
     def _update_noise(
         self, step: Step, observed: LinearisedFrame, converged: bool, searched: bool

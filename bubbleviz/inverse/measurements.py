@@ -23,7 +23,7 @@ class FrameData:
     gas_pa : float or None
         p_v, Pa; None: computed from the volume.
     flow : MeasuredFlow or None
-        Of the colour image.
+        Of the colour image; None: by depth alone.
     image_errors : ImageErrors or None
         Known from frames without contact; None: not known.
     """

@@ -10,6 +10,10 @@ from bubbleviz.result import Estimate, Traction, TractionStatus, wrench_about
 
 NO_FLOW = "the frame has no colour image, or there are no contact-free ones yet"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
+CONTRADICTS = (
+    "the colour image contradicts the depth image, as one of another moment does; see "
+    "--colour-delay"
+)
 NO_FRICTION = "the expected coefficient of friction is 0"
 
 _ALL_UNKNOWN = np.full((6, 6), np.nan)
@@ -29,6 +33,7 @@ def traction_of(
         return _unknown(len(bubble.mesh.nodes), status, estimate.reason)
     if estimate.flow is None:
         reason = NO_FLOW if flow is None else flow.problem or NO_TEXTURE
+        reason = CONTRADICTS if estimate.flow_contradicts else reason
         reason = reason if friction else NO_FRICTION
         return _of(bubble, "depth_alone", estimate, reason)
     return _of(bubble, "ok", estimate)

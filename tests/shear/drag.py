@@ -48,9 +48,9 @@ class Eyes:
         self.flows: list[FlowSighting] = []
         self.pipeline.use_optical_flow(lambda frame: self.flows[frame.index].flow)
 
-    def see(self, truth, seed=0, flow_px=FLOW_PX):
+    def see(self, truth, seed=0, flow_px=FLOW_PX, noise=NOISE):
         """The next frame."""
-        seen = sighting(self.pipeline.camera, truth, NOISE, flow_px, seed)
+        seen = sighting(self.pipeline.camera, truth, noise, flow_px, seed)
         self.flows.append(seen)
         index = len(self.flows) - 1
         return Frame(index, index / 30.0, seen.depth_m)

@@ -13,7 +13,7 @@ from tests.colour.colour_bag import encoded
 from tests.program import output_of, refusal, rows_of
 from tests.recordings.bagmaker import PERIOD, SECOND
 from tests.shear.drag import Eyes, stuck
-from tests.shear.texture_bag import FRAMES, HELD, image, write_texture_press
+from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_press
 
 
 def test_a_result_has_traction_and_slip(tmp_path):
@@ -44,6 +44,16 @@ def test_a_result_has_traction_and_slip(tmp_path):
     rows = rows_of(tmp_path / "result.csv")
     assert float(rows[2]["traction_torque_z_nm"]) == torque[2, 2]
     assert rows[1]["traction_status"] == "ok"
+
+
+def test_no_light_touch_is_lost_by_colour(tmp_path):
+    """Tractions at all of its nodes could explain it without pressure."""
+    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
+    press, sensor = write_texture_press(tmp_path, {})
+    words = ("--sensor", sensor, "--shear", "--out", tmp_path / "r.npz")
+    output_of("estimate", press, *words, "--frames", f"{TOUCHED - 1}:{TOUCHED + 1}")
+    with np.load(tmp_path / "r.npz") as result:
+        assert result["status"].tolist() == ["no_contact", "ok"]
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 
 from benchmarks.shear import along_error_m
+from bubbleviz.api.estimator import FrameSolver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.shear import watch_recorded_texture
+from bubbleviz.simulation import DepthNoise
 from tests.oracles.stuck_press import Motion
 from tests.shear.drag import Eyes, press, sensor, stuck
 
@@ -114,6 +116,36 @@ def test_a_contact_without_texture_is_solved_by_depth_only():
         np.testing.assert_allclose(traction.force_n, estimate.force_n)
         np.testing.assert_allclose(traction.force_sigma_n, estimate.force_sigma_n)
         assert result.slip is None
+
+
+def test_colour_that_contradicts_depth_is_not_used_and_told():
+    """Of a ball that is dragged by 0.6 mm afterwards, at 1 % of depth noise; none if in time."""
+    now, later = stuck("sphere", 0.006, 0.0, 0.0), stuck("sphere", 0.006, 6e-4, 0.0)
+    eyes, noise = Eyes(), DepthNoise(absolute_m=7e-4)
+    frames = [eyes.see(each, noise=noise) for each in (now, later)]
+    solver = FrameSolver(eyes.pipeline, frozenset({"patch", "traction", "slip"}))
+    assert [solver.solve(each).traction.status for each in frames] == ["ok", "ok"]
+    assert solver.warnings("recording") == []
+    eyes.flows[0] = eyes.flows[0]._replace(flow=eyes.flows[1].flow)
+    eyes.pipeline.restart()
+    led = solver.solve(frames[0])
+    assert led.traction.status == "depth_alone"
+    assert "--colour-delay" in led.traction.reason
+    assert led.slip is None
+    error, sigma = led.traction.force_n - now.force_n, led.traction.force_sigma_n
+    assert (np.abs(error) < 1.96 * sigma).all()
+    (warning,) = solver.warnings("recording")
+    assert warning.startswith("colour contradicts depth in 1 frame,")
+
+
+def test_fast_colour_of_another_moment_hardly_moves_the_force():
+    """Most of it is noise of the flow then, by the shape that depth alone has."""
+    now, later = stuck("puck", 0.004, 0.0, 0.0), stuck("puck", 0.004, 0.002, 0.0)
+    eyes = Eyes()
+    frames = [eyes.see(each) for each in (now, later)]
+    eyes.flows[0] = eyes.flows[0]._replace(flow=eyes.flows[1].flow)
+    traction = eyes.traction(frames[0])
+    assert np.linalg.norm(traction.force_n - now.force_n) < 0.02 * np.linalg.norm(now.force_n)
 
 
 def test_without_friction_colour_is_not_used():
