@@ -70,8 +70,11 @@ def test_another_recording_or_sensor_file_is_overlaid_compared_and_drawn_beside(
     assert not panel.start.isEnabled() and not panel.drawn.isEnabled()
     choose(panel.recording, tmp_path / "later.mcap")
     assert panel.recording.text() == "later.mcap"
+    shares: list[float] = []
+    panel.worker.progressed.connect(lambda _, share: shares.append(share))
     driver.click(panel.start)
     driver.wait(lambda: "median" in panel.result.text())
+    assert shares == sorted(shares)  # of both recordings together
     by_time = numbers(driver, "|ΔF|")
     driver.pick(panel.align, "By first contact")
     assert f"-{LATER * STEP_S:.3f} s" in panel.result.text()

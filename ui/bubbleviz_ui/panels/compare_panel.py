@@ -23,6 +23,7 @@ from PySide6.QtWidgets import (
 from bubbleviz.errors import InputError
 from bubbleviz.output import ComparedResult
 from bubbleviz.pipeline import FrameOptions
+from bubbleviz.progress import part_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import ComparedOptions
 from bubbleviz_ui.engine.source import RECORDINGS, Source
@@ -235,8 +236,9 @@ class OtherRecording(QWidget):
         other = source if path is None else Source.of_recording(path)
         open_other = self._controller.opening.sensor_of(path, self._sensor_file)
         options = self._solved_options = self._current_options
-        first = partial(solve, source, lambda: sensor, *options, self.worker.progress, keep=False)
-        second = partial(solve, other, open_other, *options, self.worker.progress, keep=True)
+        half = partial(part_of, self.worker.progress)
+        first = partial(solve, source, lambda: sensor, *options, half(0.0, 0.5), keep=False)
+        second = partial(solve, other, open_other, *options, half(0.5, 1.0), keep=True)
         self.start.setEnabled(False)
         self.result.setText("opening …")
         self.worker.submit(lambda: (first(), second()), self._on_solved, self._on_failed)
