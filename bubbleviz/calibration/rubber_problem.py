@@ -67,7 +67,7 @@ _SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 _MATERIAL = 3  # unknowns before the contact pressures: q, G over the initial one, share
 _STEP = 1e-3  # of q, relative, and of the share, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
-_PRESSURE_ERROR = 0.01
+PRESSURE_ERROR = 0.01
 """Standard deviation of gas pressure differences between recordings, over their largest gauge
 pressure. Data sheets of silicon pressure sensors give a total error band of ±1 to ±2 % of full
 scale, by zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and full scale is at
@@ -165,7 +165,7 @@ class RubberProblem:
         self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(shapes))
         self._size = self._errors.stop
         if level_sigma_pa is None:
-            level_sigma_pa = _PRESSURE_ERROR * (gauge_pa + max(0.0, *self.rises_pa))
+            level_sigma_pa = PRESSURE_ERROR * (gauge_pa + max(0.0, *self.rises_pa))
         self._pressure_sigma_pa = np.hypot(pressures[:, 1], 0.0 if pressed else level_sigma_pa)
         # residuals that penalise rough contact pressures
         self._smooth = np.zeros((self._errors.start - _MATERIAL, self._size))

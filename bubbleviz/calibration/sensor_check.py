@@ -15,7 +15,11 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from bubbleviz.calibration.rubber_problem import height_rings, jackknife_errors
+from bubbleviz.calibration.rubber_problem import (
+    PRESSURE_ERROR,
+    height_rings,
+    jackknife_errors,
+)
 from bubbleviz.camera import IMAGE_ERRORS, BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
@@ -33,6 +37,7 @@ from bubbleviz.recordings import (
 )
 from bubbleviz.result import HALF_95
 from bubbleviz.rigid_object import load_object
+from bubbleviz.sensor import WEATHER_SIGMA_PA
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, touching_height
 from bubbleviz.wording import count_of, decimals_of, rounded
@@ -44,8 +49,11 @@ _UNITS = ("mm", 1e3), ("mm at 45°", 1e3), ("mm at 45°", 1e3), ("%", 1e2), ("Pa
 _GAS = len(IMAGE_ERRORS)  # place of the gas pressure among the causes
 _REMEDY = {
     True: "inflate the sensor to the gauge pressure in its file, or identify it again",
-    False: "let the camera warm up, then identify the sensor again, untouched",
+    False: "let the camera warm up and check its mounting, then identify the sensor again, "
+    "untouched",
 }
+
+_RESHAPED = "check the camera's mounting, then identify the sensor again, untouched"
 
 _STEP = 0.01  # of the gauge pressure, for the first secant of its pattern
 _SECANTS, _MAX_STEP = 4, 0.5  # iterations, and the largest step over the gauge pressure
@@ -113,8 +121,7 @@ def check_sensor(
     if len(frames) < MIN_FRAMES:
         count = count_of(len(frames), "contact-free frame")
         raise InputError(f"only {count}; give or record at least {MIN_FRAMES}")
-    depths = [frame.depth_m for frame in frames]
-    rest = _RestComparison(model, depths)
+    rest = _RestComparison(model, frames)
     change_m, limit_m = model.camera_change_m, rest.change_limit_m
     todo = "choose the sensor file of this camera" if change_m > limit_m else ""
     camera = CheckRow("camera info, rms", "mm", 1e3, change_m, None, limit_m, todo)
@@ -123,7 +130,7 @@ def check_sensor(
     found = SensorCheck(
         verdict="fits",
         reason=f"fits: depth within {1e3 * rest.change_limit_m:.2f} mm rms of the sensor file",
-        rows=(*rows, camera, *_gas_rows(model, frames, rows)) if rows else (),
+        rows=(*rows, camera, *rest.gas_rows(rows[_GAS])) if rows else (),
         frames=(frames[0].index, frames[-1].index),
         bias_m=rest.bias_m,
         chi2_per_block=rest.chi2,
@@ -133,7 +140,7 @@ def check_sensor(
         return found
     if camera.todo:
         return replace(found, verdict="another", reason=_another_camera(model, camera))
-    turned = [depth[::-1, ::-1] for depth in depths]
+    turned = [replace(frame, depth_m=frame.depth_m[::-1, ::-1]) for frame in frames]
     if not rest.explained and _RestComparison(model, turned).explained:
         reason = (
             "another camera, or mounted the other way: the images are turned by 180°; turn the "
@@ -156,7 +163,7 @@ def check_sensor(
     force = "" if error is None else f", which changes a force of {press:.2g} N by {error:.2g} N"
     reason = (
         f"drifted by {1e3 * rest.bias_m:+.2f} mm in mean depth{force} "
-        f"({names or 'pattern of the pixels'}): {largest.todo if largest else _REMEDY[False]}"
+        f"({names or 'pattern of the pixels'}): {largest.todo if largest else _RESHAPED}"
     )
     return replace(found, verdict="drifted", reason=reason, press_n=press, force_error_n=error)
 
@@ -164,9 +171,9 @@ def check_sensor(
 class _RestComparison:
     """Mean of contact-free images against the prediction of a sensor file, by blocks of pixels."""
 
-    def __init__(self, model: SensorModel, depths_m: Sequence[np.ndarray]) -> None:
+    def __init__(self, model: SensorModel, frames: Sequence[Frame]) -> None:
         self.model, self.observer = model, model.observer()
-        measured = [self.observer.measure(depth) for depth in depths_m]
+        measured = [self.observer.measure(frame.depth_m) for frame in frames]
         residuals = np.array([self.observer.weigh(each).residual_m for each in measured])
         for _ in range(_ROBUST_ROUNDS):
             middle = np.median(residuals, axis=0)
@@ -194,6 +201,10 @@ class _RestComparison:
         )
         # χ² per block that noise alone does not exceed
         self.chi2_limit = float(chdtri(len(self.mean_m), ndtr(-SIGNIFICANT)) / len(self.mean_m))
+        gas = [np.nan if f.gas_pressure_pa is None else f.gas_pressure_pa for f in frames]
+        # measured gas pressure minus the sensor file's, and its standard error; NaN: not measured
+        self.gas_change_pa = float(np.mean(gas)) - model.gas.P0
+        self.gas_error_pa = error_of_mean(np.array(gas))
 
     def _variance_of_mean(self, noise_m2: np.ndarray) -> np.ndarray:
         """Variance of the frames' mean plus that of the sensor file's biases.
@@ -304,31 +315,55 @@ class _RestComparison:
         """Size beyond which a cause alone is a misfit."""
         return self._detectable(self.patterns[:, cause], self.mean_variance_m2)
 
-    def _influence(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
-        """Derivative of each cause's size by each block (k, B), in weighted least squares."""
-        X = self.patterns[:, causes]
+    @property
+    def _inflation(self) -> tuple[float, float]:
+        """Change of the gas pressure behind the membrane as measured, and its σ, Pa.
+
+        As in an identification, the weather may have caused the change, but does not hide one.
+        """
+        if not np.isfinite(self.gas_change_pa):
+            return 0.0, np.inf
+        weather = min(abs(self.gas_change_pa), WEATHER_SIGMA_PA)
+        drift = PRESSURE_ERROR * self.model.sensor.pneumatics.gauge_pressure_pa
+        return self.gas_change_pa, float(np.linalg.norm([self.gas_error_pa, weather, drift]))
+
+    def _influence(
+        self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Derivative of each cause's size by each block (k, B), and by the measured gas (k,).
+
+        In weighted least squares.
+        """
+        X, by_gas = self.patterns[:, causes], np.equal(causes, _GAS) / self._inflation[1] ** 2
         weighted = X.T * kept / self.mean_variance_m2
-        return np.asarray(np.linalg.solve(weighted @ X, weighted))
+        inverse = np.linalg.inv(weighted @ X + np.diag(by_gas))
+        return inverse @ weighted, inverse @ by_gas
+
+    def _sizes(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
+        influence, by_gas = self._influence(causes, kept)
+        return np.asarray(influence @ self.mean_m + by_gas * self._inflation[0])
 
     def _without(self, causes: tuple[int, ...]) -> np.ndarray:
         """The mean residual (B,) minus the fitted causes, m."""
         if not causes:
             return self.mean_m
-        sizes = self._influence(causes) @ self.mean_m
-        return np.asarray(self.mean_m - self.patterns[:, causes] @ sizes)
+        return np.asarray(self.mean_m - self.patterns[:, causes] @ self._sizes(causes))
 
     def _size(self, causes: tuple[int, ...], *, material: bool = True) -> tuple[float, float]:
         """Size of the last of the causes, fitted with the others, and half of its 95 % interval.
 
-        The interval combines the variation between frames, the residuals of squares of blocks, the
-        differences between rings from rim to top, and the error of the material unless left out.
+        The interval combines the variation between frames, the error of the measured gas pressure,
+        the residuals of squares of blocks, the differences between rings from rim to top, and the
+        error of the material unless left out.
         """
-        sizes, left_m = self._influence(causes) @ self.mean_m, self._without(causes)
-        influence = self._influence(causes)[-1]
+        sizes, left_m = self._sizes(causes), self._without(causes)
+        influence, by_gas = (each[-1] for each in self._influence(causes))
+        over_time = error_of_mean(self.frames_m @ influence)
+        by_gas = by_gas * self._inflation[1] if by_gas else 0.0
         errors: list[np.ndarray] = [
-            np.array([error_of_mean(self.frames_m @ influence)]),
+            np.array([over_time, by_gas]),
             np.bincount(self._squares.of_block, influence * left_m),
-            jackknife_errors(lambda kept: self._influence(causes, kept)[-1] @ left_m, self._ring),
+            jackknife_errors(lambda kept: self._sizes(causes, kept)[-1], self._ring),
         ]
         if material and _GAS in causes:
             errors.append(sizes[causes.index(_GAS)] * self._by_gas[1] @ influence)
@@ -361,23 +396,16 @@ class _RestComparison:
         rows.append(CheckRow("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, remedy))
         return rows
 
-
-def _gas_rows(
-    model: SensorModel,
-    frames: Sequence[Frame],
-    rows: Sequence[CheckRow],  # of the rest shape
-) -> list[CheckRow]:
-    """Measured gas pressure minus the sensor file's, which may differ by the weather."""
-    gas = np.array([np.nan if f.gas_pressure_pa is None else f.gas_pressure_pa for f in frames])
-    if not np.isfinite(gas).all():
-        return []
-    difference = float(gas.mean()) - model.gas.P0
-    inflation = (rows[_GAS].value or 0.0) if rows[_GAS].todo else 0.0
-    remedy = gas_warning(float(gas.mean()) - inflation, model.gas.P0)
-    half = HALF_95 * error_of_mean(gas)
-    return [
-        CheckRow("gas pressure change measured", "Pa", 1.0, difference, half, WEATHER_PA, remedy)
-    ]
+    def gas_rows(self, by_shape: CheckRow) -> list[CheckRow]:
+        """Measured change of the gas pressure, which may be the weather's as well."""
+        if not np.isfinite(self.gas_change_pa):
+            return []
+        known = self.model.gas.P0
+        weather = self.gas_change_pa - ((by_shape.value or 0.0) if by_shape.todo else 0.0)
+        large = abs(weather) > WEATHER_PA
+        remedy = gas_warning(known + self.gas_change_pa, known) if large else ""
+        change = self.gas_change_pa, HALF_95 * self.gas_error_pa, WEATHER_PA, remedy
+        return [CheckRow("gas pressure change measured", "Pa", 1.0, *change)]
 
 
 def _another_camera(model: SensorModel, row: CheckRow) -> str:

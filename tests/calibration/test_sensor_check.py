@@ -16,6 +16,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from tests.program import output_of, refusal
 from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
+from tests.small_press import changed
 
 from .identified import identify
 from .twin import FREE, cast, make_twin, nominal_sensor
@@ -150,6 +151,18 @@ def test_intervals_hold_two_changes_together(dome):
     truth = {"depth offset": 2e-4, "gas pressure change from the shape": 788.7}
     for row in found.rows[:5]:
         assert abs(row.value - truth.get(row.quantity, 0.0)) < row.half_width, row
+
+
+def test_a_measured_gas_pressure_excludes_inflation(dome):
+    """A camera displaced along its axis looks like another inflation, but for the gas pressure."""
+    sensor, frames = dome
+    x, y, z = sensor.camera.position_m
+    moved = changed(sensor, camera={"position_m": (x, y, z + 1e-3)})
+    source = frames("rest", 14)
+    found = bv.check([source[k] for k in range(10)], moved)
+    assert found.verdict != "fits" and "mounting" in found.reason
+    gas = found.rows[4]
+    assert not gas.todo and abs(gas.value) < gas.half_width
 
 
 def test_a_tilt_of_depth(dome):
