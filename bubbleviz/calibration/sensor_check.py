@@ -327,47 +327,45 @@ class _RestComparison:
         drift = PRESSURE_ERROR * self.model.sensor.pneumatics.gauge_pressure_pa
         return self.gas_change_pa, float(np.linalg.norm([self.gas_error_pa, weather, drift]))
 
-    def _influence(
-        self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivative of each cause's size by each block (k, B), and by the measured gas (k,).
-
-        In weighted least squares.
-        """
-        X, by_gas = self.patterns[:, causes], np.equal(causes, _GAS) / self._inflation[1] ** 2
+    def _influence(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
+        """Derivative of each cause's size by each block (k, B), in weighted least squares."""
+        X = self.patterns[:, causes]
         weighted = X.T * kept / self.mean_variance_m2
-        inverse = np.linalg.inv(weighted @ X + np.diag(by_gas))
-        return inverse @ weighted, inverse @ by_gas
-
-    def _sizes(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
-        influence, by_gas = self._influence(causes, kept)
-        return np.asarray(influence @ self.mean_m + by_gas * self._inflation[0])
+        return np.asarray(np.linalg.solve(weighted @ X, weighted))
 
     def _without(self, causes: tuple[int, ...]) -> np.ndarray:
         """The mean residual (B,) minus the fitted causes, m."""
         if not causes:
             return self.mean_m
-        return np.asarray(self.mean_m - self.patterns[:, causes] @ self._sizes(causes))
+        sizes = self._influence(causes) @ self.mean_m
+        return np.asarray(self.mean_m - self.patterns[:, causes] @ sizes)
 
     def _size(self, causes: tuple[int, ...], *, material: bool = True) -> tuple[float, float]:
         """Size of the last of the causes, fitted with the others, and half of its 95 % interval.
 
-        The interval combines the variation between frames, the error of the measured gas pressure,
-        the residuals of squares of blocks, the differences between rings from rim to top, and the
-        error of the material unless left out.
+        By the images and the measured gas pressure. The interval combines the variation between
+        frames, the residuals of squares of blocks, the differences between rings from rim to top,
+        and the error of the material unless left out.
         """
-        sizes, left_m = self._sizes(causes), self._without(causes)
-        influence, by_gas = (each[-1] for each in self._influence(causes))
-        over_time = error_of_mean(self.frames_m @ influence)
-        by_gas = by_gas * self._inflation[1] if by_gas else 0.0
-        errors: list[np.ndarray] = [
-            np.array([over_time, by_gas]),
-            np.bincount(self._squares.of_block, influence * left_m),
-            jackknife_errors(lambda kept: self._sizes(causes, kept)[-1], self._ring),
+        influence, left_m = self._influence(causes), self._without(causes)
+        sizes, of_square = influence @ self.mean_m, self._squares.of_block
+        errors = [
+            np.array([[error_of_mean(self.frames_m @ each)] for each in influence]),
+            np.array([np.bincount(of_square, each * left_m) for each in influence]),
+            jackknife_errors(lambda kept: self._influence(causes, kept) @ left_m, self._ring).T,
         ]
-        if material and _GAS in causes:
-            errors.append(sizes[causes.index(_GAS)] * self._by_gas[1] @ influence)
-        return float(sizes[-1]), HALF_95 * float(np.linalg.norm(np.concatenate(errors)))
+        if _GAS not in causes:
+            return float(sizes[-1]), HALF_95 * float(np.linalg.norm(np.hstack(errors)[-1]))
+        gas = causes.index(_GAS)
+        if material:
+            errors.append(sizes[gas] * influence @ self._by_gas[1].T)
+        every = np.hstack(errors)
+        covariance = every @ every.T
+        measured_pa, sigma_pa = self._inflation
+        gain = covariance[-1, gas] / (covariance[gas, gas] + sigma_pa**2)
+        variance = covariance[-1, -1] - gain * covariance[gas, -1]
+        size = float(sizes[-1] + gain * (measured_pa - sizes[gas]))
+        return size, HALF_95 * float(np.sqrt(variance))
 
     def drift_m(self) -> np.ndarray:
         """Change of the z-depth image (H, W), by blocks, m; 0 where unknown."""

@@ -162,7 +162,7 @@ def test_a_measured_gas_pressure_excludes_inflation(dome):
     found = bv.check([source[k] for k in range(10)], moved)
     assert found.verdict != "fits" and "mounting" in found.reason
     gas = found.rows[4]
-    assert not gas.todo and abs(gas.value) < gas.half_width
+    assert not gas.todo and abs(gas.value) < gas.half_width < 130.0
 
 
 def test_a_tilt_of_depth(dome):
