@@ -80,13 +80,20 @@ class OneLineErrors(click.Group):
 @contextmanager
 def _clean_exit_on_sigterm() -> Iterator[None]:
     """Make SIGTERM raise SystemExit, as ^C does, so that unfinished files are removed."""
-    terminated = False
+    terminated, leaving = False, SystemExit(128 + signal.SIGTERM)
 
-    def end(*_: object) -> NoReturn:
+    def end(*_: object) -> None:
         nonlocal terminated
         terminated = True
         signal.signal(signal.SIGTERM, signal.SIG_IGN)  # `timeout` and systemd may send it twice
-        sys.exit(128 + signal.SIGTERM)
+        if hasattr(signal, "setitimer"):  # not on Windows
+            signal.signal(signal.SIGALRM, end)
+            signal.setitimer(signal.ITIMER_REAL, 1.0)
+        handled = sys.exc_info()[1]
+        while handled is not None and handled is not leaving:
+            handled = handled.__context__
+        if handled is None:  # the first time, or a library has caught it, as trimesh does
+            raise leaving
 
     if threading.current_thread() is not threading.main_thread():
         yield

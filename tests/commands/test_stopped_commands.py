@@ -3,6 +3,7 @@
 import os
 import signal
 import subprocess
+import sys
 
 import psutil
 import pytest
@@ -103,3 +104,31 @@ def test_a_file_is_on_the_disk_before_it_has_its_name(name, given, tmp_path, mon
     files = [path] if path.is_file() else list(path.rglob("*.png"))
     assert files and all((each.stat().st_ino, False) in synced for each in files)
     assert (tmp_path.stat().st_ino, True) in synced
+
+
+SWALLOWING = """
+import threading
+from bubbleviz.cli.command_line import main
+
+@main.command()
+def busy():
+    print("busy", flush=True)
+    try:
+        threading.Event().wait()
+    except BaseException:
+        pass
+    threading.Event().wait()
+
+main(["busy"])
+"""
+
+
+def test_a_command_ends_though_a_library_catches_the_exception_that_ends_it():
+    command = [sys.executable, "-c", SWALLOWING]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "busy\n"
+        process.terminate()
+        try:
+            assert process.wait(60) == 128 + signal.SIGTERM
+        finally:
+            process.kill()
