@@ -34,11 +34,10 @@ class PredictedImage:
 
     T_B_O: np.ndarray  # (4, 4)
     center: np.ndarray  # (3,)
-    pixel: np.ndarray  # (b,) int, indices of the compared pixels among the observer's
-    every: int  # number of candidate pixels that each used pixel represents
-    expected_m: np.ndarray  # (b,), residuals of these pixels at the pose, as of `RangeObserver`
+    pixel: np.ndarray  # (b, e) int, the compared groups of e pixels among the observer's
+    expected_m: np.ndarray  # (b,), their mean residuals at the pose, as of `RangeObserver`
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
-    on_face: np.ndarray  # (b,) bool, pixels of membrane that lies on a face
+    on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
     area_m2: float  # of the membrane in these pixels
 
@@ -47,8 +46,9 @@ class PredictedImage:
         return self.expected_m + self.jacobian @ motion_between(self.T_B_O, T_B_O, self.center)
 
     def error_of(self, before: PredictedImage) -> np.ndarray:
-        """Error (b,) of an earlier linear model at this pose; 0 in pixels that it does not have."""
-        _, own, others = np.intersect1d(self.pixel, before.pixel, True, return_indices=True)
+        """Error (b,) of an earlier linear model at this pose; 0 in groups that it does not have."""
+        groups = self.pixel[:, 0], before.pixel[:, 0]
+        _, own, others = np.intersect1d(*groups, assume_unique=True, return_indices=True)
         error = np.zeros(len(self.pixel))
         error[own] = self.expected_m[own] - before.at(self.T_B_O)[others]
         return error
@@ -106,15 +106,17 @@ class ImageFit:
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
             return None
-        residual = change_m[predicted.pixel] - predicted.at(T_B_O)
-        valid = np.isfinite(residual)
+        change = change_m[predicted.pixel]
+        count = np.isfinite(change).sum(axis=1)
+        residual = np.nansum(change, axis=1) / np.maximum(count, 1) - predicted.at(T_B_O)
+        valid = count > 0
         residual = residual[valid]
         J = predicted.jacobian[valid] @ about(contact.center, predicted.center)
         off = J @ directions.motions[:, directions.determined]
         off[predicted.on_face[valid]] = 0.0
         off = np.column_stack([off, predicted.rounding[valid]])
         J = np.hstack([J, off])
-        weight = predicted.every * self._options.trust * self._weights(residual)
+        weight = count[valid] * self._options.trust * self._weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
         known_off = np.full(off.shape[1], self._options.model_deviation_m)
@@ -186,11 +188,12 @@ class ImageFit:
         """The membrane and its derivatives in the camera image."""
         mesh = press.part.mesh
         away = np.linalg.norm(self._places - contact.rest_center, axis=1)
-        pixel = np.flatnonzero(away < contact.extent_m + self._options.around_m)
-        every = max(1, -(-len(pixel) // self._options.max_pixels))
-        pixel = pixel[::every]
-        center, rays = self._observer.camera.center, self._directions[pixel]
-        caster = RayCaster(center, rays, mesh.triangles)
+        close = np.flatnonzero(away < contact.extent_m + self._options.around_m)
+        each = max(1, -(-len(close) // self._options.max_pixels))
+        pixel = close[: len(close) // each * each].reshape(-1, each)
+        rays = self._directions[pixel].sum(axis=1)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
         hits = caster.cast(press.nodes)
         pixel = pixel[hits.ray]
         values = hits.barycentric[:, :, None] * caster.slopes(press.nodes, hits)[:, None]
@@ -202,8 +205,7 @@ class ImageFit:
             T_B_O=press.T_B_O,
             center=press.center,
             pixel=pixel,
-            every=every,
-            expected_m=hits.range_m - self._rest_m[pixel],
+            expected_m=hits.range_m - self._rest_m[pixel].mean(axis=1),
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],

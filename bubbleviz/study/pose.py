@@ -241,7 +241,9 @@ class _Bench:
             return true
         J = image.jacobian @ about(true.center, image.center)
         sigma = self._grid.noise_relative * float(np.nanmedian(simulated.range_m))
-        return replace(true, directions=directions(image.every / sigma**2 * J.T @ J, true.radius_m))
+        return replace(
+            true, directions=directions(image.pixel.shape[1] / sigma**2 * J.T @ J, true.radius_m)
+        )
 
     def _row(
         self, simulated: SimulatedPress, true: TrueContact, observed: TrueContact, number: int

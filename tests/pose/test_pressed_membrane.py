@@ -291,14 +291,15 @@ def test_image_of_the_press_equals_the_range_change(pipeline, rubber, contact, i
     found = image[1]
     press, mesh = pressed(pipeline, rubber, "cylinder").press(pose(), contact), pipeline.mesh
     triangles = press.part.mesh.triangles
-    now = ranges(pipeline, found.pixel, press.nodes, triangles)
-    at_rest = ranges(pipeline, found.pixel, mesh.nodes, mesh.triangles)
+    now = ranges(pipeline, found.pixel[:, 0], press.nodes, triangles)
+    at_rest = ranges(pipeline, found.pixel[:, 0], mesh.nodes, mesh.triangles)
     np.testing.assert_allclose(found.expected_m, now - at_rest, atol=2e-6)
     assert found.expected_m.min() < -5e-3
     step = 1e-4
     for k, slope in enumerate([*press.slopes, press.rounding]):
         ends = [
-            ranges(pipeline, found.pixel, press.nodes + s * slope, triangles) for s in (step, -step)
+            ranges(pipeline, found.pixel[:, 0], press.nodes + s * slope, triangles)
+            for s in (step, -step)
         ]
         derivative = found.jacobian[:, k] if k < 6 else found.rounding
         error = np.abs((ends[0] - ends[1]) / (2.0 * step) - derivative)
@@ -310,13 +311,13 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
     fit, found = image
     options, rng, sigma = ImageOptions(), np.random.default_rng(0), 1e-3
     way = np.array([2e-4, -1e-4, 1e-4, 3e-3, 2e-3, -4e-3])
-    noise = sigma * rng.standard_normal(len(found.pixel))
-    change = np.full(int(found.pixel.max()) + 1, np.nan)
-    change[found.pixel] = found.expected_m + found.jacobian @ way + noise
+    noise, pixel = sigma * rng.standard_normal(len(found.pixel)), found.pixel[:, 0]
+    change = np.full(int(pixel.max()) + 1, np.nan)
+    change[pixel] = found.expected_m + found.jacobian @ way + noise
     every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
     weak = 1e-6 * np.eye(6)
     step = fit.step(change, contact, pose(), every, weak, valid_m=1e-3)
-    weight = found.every * options.trust / (sigma * (1.0 + (noise / (4.0 * sigma)) ** 2)) ** 2
+    weight = options.trust / (sigma * (1.0 + (noise / (4.0 * sigma)) ** 2)) ** 2
     J = np.column_stack([found.jacobian, found.rounding])
     H = (J.T * weight) @ J
     H[6, 6] += 1.0 / options.rounding_m**2
@@ -325,11 +326,29 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
     np.testing.assert_allclose(step.information / scale, expected / scale, atol=0.05)
     lever = contact.center - found.center  # `way` is about the image's centre, a step the patch's
     here = np.concatenate([way[:3] + np.cross(way[3:], lever), way[3:]])
-    change[found.pixel] += options.rounding_m * found.rounding
+    change[pixel] += options.rounding_m * found.rounding
     further_back = fit.step(change, contact, pose(), every, weak, valid_m=1e-3)
     for each in (step, further_back):
         off = np.linalg.solve(each.information, each.gradient) - here
         assert off @ each.information @ off < 4.0  # χ² of 6, of which the image is trusted with 0.3
+
+
+def test_noise_of_many_pixels_averages_out(pipeline, rubber, contact, image):
+    """A sixth of the groups, each of six pixels, determines the pose as well as all pixels."""
+    every, (_, alone) = Directions(np.eye(6), np.ones(6), np.zeros(6, bool)), image
+    options = ImageOptions(max_pixels=len(alone.pixel) // 6 + 1)
+    observer, membrane = pipeline.estimator.observer, pressed(pipeline, rubber, "cylinder")
+    fit = ImageFit(observer, membrane, options, precision_of(pipeline.estimator))
+    change = np.full(len(observer.pixel), np.nan)
+    change[alone.pixel[:, 0]] = alone.expected_m
+    change += 1e-3 * np.random.default_rng(0).standard_normal(len(change))
+    assert fit.predicted(pose(), contact).pixel.shape[1] == 6
+    off = []
+    for each in (image[0], fit):
+        step = each.step(change, contact, pose(), every, 1e-6 * np.eye(6), valid_m=1e-3)
+        off.append(np.linalg.solve(step.information, step.gradient))
+    apart = off[1] - off[0]
+    assert apart @ step.information @ apart < 1.0  # by one pixel of each group some ten
 
 
 def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, contact):
@@ -343,7 +362,7 @@ def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, c
         for T in (pose(), pose(x=0.0045)):
             found = look.predicted(T, contact)
             change = np.full(len(noise), np.nan)
-            change[found.pixel] = found.expected_m + sigma * noise[found.pixel]
+            change[found.pixel[:, 0]] = found.expected_m + sigma * noise[found.pixel[:, 0]]
             fit.step(change, contact, T, every, 1e-6 * np.eye(6), valid_m=0.0)
         served.append(fit.valid_m)
     assert served[1] > 1.1 * served[0]
