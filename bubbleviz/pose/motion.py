@@ -143,7 +143,7 @@ class Motion:
         ratio, basis = np.linalg.eigh(root.T @ information @ root)
         informed = ratio > _MIN_RATIO
         surprise = (basis.T @ root.T @ gradient)[informed] ** 2 / (ratio + ratio**2)[informed]
-        factor = max(1.0, float(surprise.sum()) / 6.0)
+        factor = max(1.0, float(surprise.mean())) if informed.any() else 1.0
         return replace(self, covariance=factor * self.covariance)
 
     def corrected(self, T_B_O: np.ndarray, information: np.ndarray) -> Motion:

@@ -1,5 +1,7 @@
 """The motion filter against exact motion."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -106,11 +108,16 @@ def test_small_rotations_equal_scipy():
 
 
 def test_contradicting_frame_widens_the_prediction():
-    """Deviations as large as both covariances keep it; k times as large ones multiply it by k²."""
+    """Deviations as large as both covariances keep it; k times as large ones multiply it by k².
+
+    So they do where the frame knows only three directions, as of a ball.
+    """
     start = Motion.at_rest(np.eye(4), START_DEVIATION, np.zeros(3))
     P = start.covariance[:6, :6]
-    information = np.linalg.inv(0.01 * P)  # the frame is much better known than the prediction
-    for k, factor in ((0.1, 1.0), (5.0, 25.0 / 1.01)):
-        off = k * START_DEVIATION
+    frame = np.linalg.inv(0.01 * P)  # much better known than the prediction
+    for known, (k, factor) in product(
+        (np.ones(6), np.repeat([1.0, 0.0], 3)), ((0.1, 1.0), (5.0, 25.0 / 1.01))
+    ):
+        information, off = frame * known, k * START_DEVIATION
         found = start.widened(information @ off, information)
         np.testing.assert_allclose(found.covariance, factor * start.covariance, rtol=1e-9)
