@@ -301,8 +301,9 @@ def test_publishing_is_refused_in_one_line():
         assert says in refusal(*common, *more)
 
 
-def test_every_image_is_recorded(small_sensor_file, tmp_path):
+def test_every_image_is_recorded(small_sensor_file, tmp_path, monkeypatch):
     """By the publisher's count."""
+    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 240.0)  # a process has to start
     out, seconds = tmp_path / "soak.mcap", 4.0 if "TEST_ALL" in os.environ else 1.5
     with Publisher(str(small_sensor_file), "synthetic:?rate=60&frames=4") as publisher:
         done = run(
