@@ -63,7 +63,7 @@ def test_short_run_identifies_the_rubber_and_resumes(tmp_path):
     kept[0]["value"] = 123.0
     part.write_text(json.dumps(kept))
     assert coverage_study(SMALL, parts).run().rows[0].value == 123.0
-    with pytest.raises(InputError, match="another study"):
+    with pytest.raises(InputError, match="a study with other settings"):
         coverage_study(replace(SMALL, frames=9), parts).run()
     assert json.loads((tmp_path / "coverage.json").read_text())["coverage"]
     assert "round sheet" in found.to_text()
