@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from numbers import Real
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from bubbleviz.api.frame_warnings import FrameWarnings
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import FrameResult, OneBlasThread
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
@@ -22,21 +22,17 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import checked_pose
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, Frame, gas_warning, has_returns, metres
+from bubbleviz.recordings import AUTO, Frame, has_returns, metres
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
-from bubbleviz.wording import count_of
-from bubbleviz.zeros import ImageZero, PressureZero, Zeros, camera_moved
+from bubbleviz.zeros import ImageZero, PressureZero, Zeros
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """The pose is only computed with an object to track, pixels of the patch on first use."""
-_DRIFT_IMAGES = 10_000
-_CHANCE = 0.02  # share of images that contradict their known errors by chance
-"""Most recent images used for the drift warning: five minutes of a stream."""
 _WRONG_UNIT = math.sqrt(10.0)
 """Ratio of depths to depths of the membrane at rest beyond which they are in a wrong unit: the
 geometric mean of 1 and 10, the smallest wrong factor (0.1 mm taken for 1 mm)."""
@@ -277,150 +273,23 @@ class FrameSolver:
         self.pipeline, self.texture = pipeline, texture
         self.zeros = zeros or Zeros(None, ImageZero())
         self._products, self._options = products, options
-        self._measured_pa: float | None = None
-        self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
-        self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
-        self._statuses: Counter[str] = Counter()
-        # frames with contact, and those without after the first that moved; of both, the ones
-        # whose image contradicts its known errors
-        self._moved, self._later, self._later_moved = 0, 0, 0
-        self._by_depth_only = 0  # frames in which colour contradicts depth
-        self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
+        self._warnings = FrameWarnings(pipeline, self.zeros)
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
         """The products of the next frame."""
-        self._measured_pa = self._measured_pa or frame.gas_pressure_pa
         with self._blas.limit(limits=1, user_api="blas"):  # as `OneBlasThread`
             zeroed = self.zeros.zeroed(frame, self.pipeline)
             result = self.pipeline.process(zeroed, self._products, self._options)
             self.zeros.follow(frame, result, self.pipeline)
             if self.texture is not None:
                 self.texture.take(result)
-        if result.estimate is not None:
-            self._statuses[result.estimate.status] += 1
-            self._by_depth_only += result.estimate.flow_contradicts
-        if result.estimate is not None and result.estimate.image_errors is not None:
-            self._image_errors.append(result.estimate.image_errors.mean)
-            moved = camera_moved(result)
-            self._moved += result.estimate.status == "ok" and moved
-            later = self._moved > 0 and result.estimate.status == "no_contact"
-            self._later, self._later_moved = self._later + later, self._later_moved + later * moved
-        if result.estimate is not None and result.estimate.seen_share < 1.0:
-            self._partly_seen += 1
-            self._least_seen = min(self._least_seen, result.estimate.seen_share)
-        friction = _least_friction(result)
-        if friction > self.pipeline.options.friction:
-            self._frames_over += 1
-            self._most_friction = max(self._most_friction, friction)
+        self._warnings.take(frame, result)
         return result
 
     def warnings(self, where: str) -> list[str]:
         """Warnings about the frames so far; `where` they are from: recording or source."""
-        found = (
-            self._sensor_warning(where),
-            self._fit_warning(),
-            self._drift_warning(),
-            self._friction_warning(),
-            self._edge_warning(),
-            self._colour_warning(),
-        )
-        return [text for text in found if text]
-
-    def _fit_warning(self) -> str:
-        """Warning if nothing shows that the sensor file fits, and frames contradict it."""
-        misfits = self._statuses["implausible"]
-        if not misfits or self._statuses["no_contact"]:
-            return ""
-        return (
-            f"{count_of(misfits, 'frame')} and the sensor file do not fit together, and no frame "
-            "without contact does, so forces of the others may be wrong: run bubbleviz check with "
-            "contact-free frames"
-        )
-
-    def _drift_warning(self) -> str:
-        """Warning if depth images drift; else empty.
-
-        By more than three standard deviations since the calibration, or in more images with
-        contact than chance explains since those without. A difference that ends with the contact
-        is no drift of the camera.
-        """
-        if not self._image_errors:
-            return ""
-        if self._moved > max(1, _CHANCE * self._statuses["ok"]):
-            cause, remedy = "the camera, ", "Let the camera warm up, check that it is fixed, or "
-            if self._later and self._later_moved <= _CHANCE * self._later:
-                cause = remedy = ""
-            gas = self.zeros.gas
-            if self._measured_pa is None or (gas is not None and gas.frozen):
-                cause += "the gas pressure, which is not measured and is not that of the gas law, "
-                remedy = "Record the gas pressure, check chamber_volume_m3 and the camera, or "
-            cause += "or " if cause else ""
-            remedy += "identify the sensor again"
-            return (
-                f"depth of {count_of(self._moved, 'frame')} with contact contradicts the frames "
-                f"without, by {cause}a membrane whose shape or rubber is not that of the sensor "
-                f"file; their forces are less certain. {remedy[0].upper()}{remedy[1:]}"
-            )
-        estimator = self.pipeline.estimator
-        by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
-        drift_m = float(units @ np.median(self._image_errors, axis=0) / by_offset)
-        if abs(drift_m) <= 3.0 * estimator.options.image_error * by_scale / by_offset:
-            return ""
-        cause, remedy = "", "Let the camera warm up, or identify the sensor again"
-        if self._measured_pa is None:
-            cause = ", or the bubble is inflated to another pressure, which was not recorded"
-            remedy = (
-                "Inflate it as in the sensor file, record the gas pressure, or let the camera warm "
-                "up"
-            )
-        return (
-            f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
-            f"are corrected for a drift. {remedy}"
-        )
-
-    def _friction_warning(self) -> str:
-        """Warning if friction exceeds the expected coefficient beyond its interval; else empty."""
-        if not self._frames_over:
-            return ""
-        return (
-            f"friction in {count_of(self._frames_over, 'frame')} is at least "
-            f"{self._most_friction:.2g} of the normal force, more than the expected coefficient of "
-            f"{self.pipeline.options.friction:.2g}, which makes its estimate too small: repeat "
-            "with a larger --friction"
-        )
-
-    def _edge_warning(self) -> str:
-        """Warning if contacts reach the edge of the image, or of a hole in it; else empty."""
-        if not self._partly_seen:
-            return ""
-        return (
-            f"the camera sees only a part of the contact in {count_of(self._partly_seen, 'frame')} "
-            f"({100 * self._least_seen:.0f} % of its area or more); the force on the unseen part "
-            "is inferred from the membrane around it and less certain. Press nearer to the middle "
-            "of the image"
-        )
-
-    def _colour_warning(self) -> str:
-        """Warning if colour contradicts depth; else empty."""
-        if not self._by_depth_only:
-            return ""
-        return (
-            f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
-            "solved by depth alone; their stamps may be of different moments. Give --colour-delay"
-        )
-
-    def _sensor_warning(self, where: str) -> str:
-        """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
-        known_pa, zero = self.pipeline.model.gas.P0, self.zeros.gas
-        if zero is not None and zero.frozen:
-            gas = zero.frozen_warning(where) if self._statuses["ok"] else ""
-        elif zero is None or zero.rest_pa is None:
-            gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
-        else:
-            gas = gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
-        file = self.pipeline.model.contradiction
-        return "; ".join(filter(None, (file, gas, _camera_warning(self.pipeline, where))))
+        return self._warnings.texts(where)
 
 
 def given_pose(init: str | np.ndarray | None) -> np.ndarray | None:
@@ -442,28 +311,3 @@ def solved(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> I
     for done, index in enumerate(frames.chosen, 1):
         yield solver.solve(frames.source[index])
         progress("solving", done / len(frames))
-
-
-def _least_friction(result: Result) -> float:
-    """Friction over normal force, less half of the interval of the force; NaN if unknown."""
-    estimate, patch = result.trusted_estimate, result.trusted_patch
-    if estimate is None or patch is None or estimate.status == "no_contact":
-        return math.nan
-    normal = float(np.linalg.norm(patch.force_n - patch.tangential_force_n))
-    friction = float(np.linalg.norm(patch.tangential_force_n))
-    return (friction - estimate.force_half_width_n) / normal if normal else math.nan
-
-
-def _camera_warning(pipeline: Pipeline, where: str) -> str:
-    """Warning where the intrinsics differ from the calibrated ones by more than the noise."""
-    model, moved = pipeline.model, pipeline.model.camera_change_m
-    if model.pixels is None or moved == 0.0:
-        return ""
-    weight = pipeline.estimator.observer.observe_everything().weight
-    if moved < 1.0 / np.sqrt(np.median(weight[weight > 0.0])):
-        return ""
-    return (
-        f"the {where}'s camera info differs from the intrinsics in the sensor file, which shifts "
-        f"depth by {1e3 * moved:.2f} mm rms; choose the sensor file of this camera, or identify "
-        "the sensor again"
-    )
