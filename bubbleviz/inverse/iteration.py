@@ -293,7 +293,8 @@ class Iteration:
         Also judges whether the shape is near the solution, and whether the image shows the membrane
         outside the contact.
         """
-        motion, newton = step.normal_motion_m, self._newton
+        newton = self._newton  # flow shows motion along the membrane, too
+        motion = step.normal_motion_m if observed.flow is None else step.motion_m
         converged = self._near and step.state.balanced and motion <= self._converged_m
         self._settling = self._settling + 1 if converged else 0
         converged = converged and (motion <= self._settled_m or self._settling > _MAX_SETTLING)
@@ -323,7 +324,9 @@ class Iteration:
                 step, observed, self._noise, self._image_shows_rest
             )
             slides, spins = self._friction(step)
-            known = noise_converged(updated, self._noise, self._noises, int(self._warm))
+            # By flow it begins far too large where depth alone has hardly found a twist.
+            follows = self._warm and self._data.flow is None
+            known = noise_converged(updated, self._noise, self._noises, int(follows))
             known = known and slides.converged and spins.converged
             if done and (known or self._alternates() or len(self._noises) >= MAX_NOISES):
                 return True
