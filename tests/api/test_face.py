@@ -413,7 +413,10 @@ def test_frames_and_poses_of_a_stream(press, sensor, tmp_path):
     with bv.open(path) as recording:  # of the frames that a slow machine does not leave out
         again = bv.track([recording[each.index] for each in poses], "cylinder", sensor, **how)
     assert [each.status for each in poses] == again.status.tolist()
-    np.testing.assert_allclose([each.T_B_O for each in poses], again.T_B_O, atol=5e-4)
+    single = [each.result.frame.images == 1 for each in poses]  # a list's images are not averaged
+    found = np.array([each.T_B_O for each in poses])[single]
+    assert np.isfinite(found).any()
+    np.testing.assert_allclose(found, again.T_B_O[single])
 
 
 def test_errors_equal_those_of_the_command_line(frames, sensor, tmp_path):
