@@ -404,7 +404,7 @@ class RangeObserver:
         return noise, bool((away > self._limit(root, noise)).any())
 
     def _limit(self, root: np.ndarray, noise: float) -> np.ndarray:
-        """Distance from the median of a block beyond which a return is false, in σ, for 1/σ.
+        """Distance in σ from the median of a block beyond which a return is false; `root` is 1/σ.
 
         Within a block, half as wide as a mesh edge, the membrane varies by less than that edge.
         """

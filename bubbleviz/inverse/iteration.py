@@ -344,7 +344,7 @@ class Iteration:
         return False
 
     def _unrepeated(self, updated: Noise) -> Noise:
-        """Noise factors of a step before convergence, not lowered to some it was raised from twice.
+        """Noise factors after a step before convergence, but none that was raised from twice already.
 
         Two factors, each with its own support, could alternate for ever.
         """

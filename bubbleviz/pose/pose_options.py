@@ -46,7 +46,7 @@ class ImageOptions:
     press: PressOptions = PressOptions()
     # distance around the patch in which pixels are compared; the membrane further away hardly moves
     around_m: float = 8e-3
-    max_pixels: int = 6_000  # of more, the means of as many groups of neighbours are compared
+    max_pixels: int = 6_000  # beyond, as many groups of neighbours are averaged
     # weight of the pixels' information: the error of the model's facets persists until the object's
     # edge has moved to others, with twice the variance of the noise averaged over that time
     trust: float = 0.3

@@ -437,7 +437,7 @@ class PanelWindow(QMainWindow):
                 self.message.drop_topic(topic)
             own = last_sensor(size)
             if path is not None and name in preset_names("sensors") and own is not None:
-                self.messages.add("notice", f"Preset in use, not {own.name}", file=own)
+                self.messages.add("notice", f"A preset is in use instead of {own.name}", file=own)
         self.message.drop_warnings()
         self.message.drop_topic(OPENING)
         if name is not None and name.endswith(".toml"):

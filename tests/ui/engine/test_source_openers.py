@@ -60,7 +60,7 @@ def test_a_preset_is_named_where_another_sensor_file_was_used_last(drive, tmp_pa
     notice, title = driver.window.notice, driver.window.windowTitle
     driver.drop(tmp_path / "rec.mcap")
     driver.wait(lambda: "(preset)" in title())
-    assert notice.isVisible() and notice.label.text() == "Preset in use, not mine.toml"
+    assert notice.isVisible() and notice.label.text() == "A preset is in use instead of mine.toml"
     driver.click(notice.open)
     driver.wait(lambda: "(mine.toml)" in title())
 
