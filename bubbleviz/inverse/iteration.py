@@ -344,7 +344,7 @@ class Iteration:
         return False
 
     def _unrepeated(self, updated: Noise) -> Noise:
-        """Noise factors after a step before convergence, but none that was raised from twice already.
+        """Noise factors after a step before convergence, but none already raised from twice.
 
         Two factors, each with its own support, could alternate for ever.
         """
