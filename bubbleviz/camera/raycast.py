@@ -271,7 +271,18 @@ class MembraneView:
 
     def hits(self, displacement_m: np.ndarray, pixels: np.ndarray | None = None) -> Hits:
         """Where the rays of all pixels, or of those with flat indices (k,), meet the membrane."""
-        return self._caster.cast(self.mesh.deformed(displacement_m), pixels)
+        near = self._near if pixels is None else self._near[pixels]
+        return self._caster.cast(self.mesh.deformed(displacement_m), pixels, near)
+
+    @cached_property
+    def _near(self) -> np.ndarray:
+        """Triangle that each pixel or, for one that sees none, a pixel nearby sees at rest."""
+        known = np.flatnonzero(self.at_rest >= 0)
+        if not len(known):
+            return self.at_rest
+        i, count = np.arange(len(self.at_rest)), np.cumsum(self.at_rest >= 0)
+        before, after = known[np.maximum(count - 1, 0)], known[np.minimum(count, len(known) - 1)]
+        return self.at_rest[np.where(np.abs(after - i) < np.abs(i - before), after, before)]
 
     @cached_property
     def at_rest(self) -> np.ndarray:
