@@ -123,9 +123,9 @@ def _as_ros2(payload: bytes, kind: str) -> bytes:
 # The simulated sensor as a live source.
 
 
-_PREPARED = 1.0 / 3.0
+_PREPARED = 0.5
 """Sending begins once the other frames are simulated in this share of the time until they are due,
-at the pace so far: contact takes twice as long as rest, and solver and window run meanwhile."""
+at the usual pace so far: contact takes longer than rest, and solver and window run meanwhile."""
 
 
 class SyntheticLive(LiveSource):
@@ -154,12 +154,13 @@ class SyntheticLive(LiveSource):
         simulation = self._make()
         pool = ThreadPoolExecutor(1, "simulation")
         try:
-            began, count = time.monotonic(), len(simulation)
+            count, at_s = len(simulation), [time.monotonic()]
             images = [pool.submit(self._messages_at, simulation, k) for k in range(count)]
             for done, image in enumerate(images, 1):
                 self.preparing = f"simulating the first images, {done} of {count}"
                 image.result()
-                left_s = (time.monotonic() - began) / done * (count - done)
+                at_s.append(time.monotonic())
+                left_s = float(np.median(np.diff(at_s[-100:]))) * (count - done)
                 if not self._ahead or left_s < _PREPARED * count / self._rate:
                     break
                 if self._stopped.is_set():
