@@ -73,9 +73,9 @@ class FrameWarnings:
         if not misfits or self._statuses["no_contact"]:
             return ""
         return (
-            f"{count_of(misfits, 'frame')} and the sensor file do not fit together, and no frame "
-            "without contact does, so forces of the others may be wrong: run bubbleviz check with "
-            "contact-free frames"
+            f"{count_of(misfits, 'frame')} did not fit the sensor file, and no frame without "
+            "contact shows that it is right, so forces of the others may be wrong: run bubbleviz "
+            "check with contact-free frames"
         )
 
     def _drift_warning(self) -> str:
@@ -88,19 +88,20 @@ class FrameWarnings:
         if not self._image_errors:
             return ""
         if self._moved > max(1, _CHANCE * self._statuses["ok"]):
-            cause, remedy = "the camera, ", "Let the camera warm up, check that it is fixed, or "
+            cause = "the camera drifted, "
+            remedy = "Let the camera warm up, check that it is fixed, or "
             if self._later and self._later_moved <= _CHANCE * self._later:
                 cause = remedy = ""
             gas = self._zeros.gas
             if self._measured_pa is None or (gas is not None and gas.frozen):
-                cause += "the gas pressure, which is not measured and is not that of the gas law, "
+                cause += "the gas pressure, which is not measured, does not follow the gas law, "
                 remedy = "Record the gas pressure, check chamber_volume_m3 and the camera, or "
             cause += "or " if cause else ""
             remedy += "identify the sensor again"
             return (
-                f"depth of {count_of(self._moved, 'frame')} with contact contradicts the frames "
-                f"without, by {cause}a membrane whose shape or rubber is not that of the sensor "
-                f"file; their forces are less certain. {remedy[0].upper()}{remedy[1:]}"
+                f"depth in {count_of(self._moved, 'frame')} with contact contradicts that in the "
+                f"frames without: {cause}shape or rubber of the membrane differ from the sensor "
+                f"file; forces of these frames are less certain. {remedy[0].upper()}{remedy[1:]}"
             )
         estimator = self._pipeline.estimator
         by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)

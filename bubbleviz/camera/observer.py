@@ -89,8 +89,9 @@ _MILLIMETRE, _WHOLE, _LOST = 1e-3, 0.01, 0.5
 rounding, and the noise by which rounding averages out: its first harmonic is reduced to 0.7 %."""
 
 _FALSE, _AROUND = 6.0, 2
-"""Distance in σ beyond which a return is false, not noise, besides the slope's part; and blocks on
-either side of one whose median it is compared with: together at most five mesh edges away."""
+"""Distance in σ from the median of its block beyond which a return is false, besides what the slope
+of the membrane explains, which is taken to be two at most: a mesh edge over a block, which is half
+as wide. A block is compared with the median of those up to so many blocks away in the same way."""
 
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
 """Pixels checked for outliers per independent sample, and about how many of an image: with these a
@@ -404,17 +405,14 @@ class RangeObserver:
         return noise, bool((away > self._limit(root, noise)).any())
 
     def _limit(self, root: np.ndarray, noise: float) -> np.ndarray:
-        """Distance in σ from the median of a block beyond which a return is false; `root` is 1/σ.
-
-        Within a block, half as wide as a mesh edge, the membrane varies by less than that edge.
-        """
+        """Distance in σ from its block's median beyond which a return is false; `root` is 1/σ."""
         limit: np.ndarray = root * np.float32(self.mesh.edge_length) + _FALSE * noise
         return limit
 
     def _without_false_returns(self, depth_m: np.ndarray, noise: float) -> np.ndarray:
         """Depth image (H, W) with NaN in pixels far from the median of their block.
 
-        Also in blocks far from the median of those around, within a mesh edge on either side.
+        Also in blocks far from the median of those around.
         """
         used, place = self._used, np.arange(len(self.pixel)) - np.repeat(self._starts, self._count)
         residual_m, root = used.residuals(depth_m), np.sqrt(used.precision)

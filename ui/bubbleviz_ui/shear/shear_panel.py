@@ -52,7 +52,7 @@ class ShearPlot(PlotHost):
         """Draw a force in a unit; None: no force."""
         if not self.ready:
             return
-        self._plot.write(f"Force across the normal, y over x, {unit.symbol}")
+        self._plot.write(f"Across normal, {unit.symbol}")
         for item, points in (
             (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
             (self.outline, None if ellipse is None else ellipse.outline_n),
