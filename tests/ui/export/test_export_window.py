@@ -88,9 +88,11 @@ def test_table_has_the_forces_of_the_window_also_with_colour(drive, monkeypatch,
     bench.wait_until_shown()
     changed = abs(shown() - by_depth)
     assert changed > 5e-3 * by_depth
+    assert force == pytest.approx(by_depth, rel=3e-3)
     assert abs(force - by_depth) < abs(force - shown())
     message, force = exported("colour.csv")
-    assert abs(force - shown()) < abs(force - by_depth) and "by depth and colour" in message
+    assert force == pytest.approx(shown(), rel=3e-3) and "by depth and colour" in message
+    assert abs(force - shown()) < abs(force - by_depth)
     bench.release()
 
 
