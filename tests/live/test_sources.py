@@ -35,7 +35,6 @@ from bubbleviz.live import (
     Replay,
     SensorPlace,
     SessionPreset,
-    SyntheticLive,
     load_session,
     open_stream,
 )
@@ -95,32 +94,6 @@ def test_simulation_on_the_fly_equals_the_precomputed_one(small_sensor):
             depths.append(frame.depth_m)
             assert all(topic.name.startswith("/left/") for topic in stream.source.topics)
     np.testing.assert_array_equal(depths[0], depths[1])
-
-
-def test_a_simulation_begins_before_all_frames_are_simulated(small_sensor):
-    """The later ones are due in four seconds, and none of them is ready until then."""
-    simulation, held = open_stream("synthetic:?frames=2", small_sensor), threading.Event()
-    with simulation:
-        frame = simulation.take(5.0)
-
-    class Slow:
-        times_s = np.arange(40) / 10.0
-
-        def __len__(self):
-            return 40
-
-        def __getitem__(self, index):
-            if index >= 30:
-                held.wait()
-            return frame
-
-        def close(self):
-            pass
-
-    with LiveStream(SyntheticLive("slow", Slow, 10.0), small_sensor) as stream:
-        first = stream.take(5.0)
-        held.set()
-    assert first is not None
 
 
 def test_only_the_newest_frame_is_delivered_and_skipped_ones_counted(small_sensor, eventually):
@@ -412,6 +385,7 @@ def test_missing_camera_gives_one_line(small_sensor):
 
 def test_streams_end_when_their_source_fails(small_sensor, eventually):
     """The object of the simulation cuts the rim: the stream reports it and ends."""
+    from bubbleviz.live import SyntheticLive
 
     def make():
         poses = np.tile(np.eye(4), (2, 1, 1))
