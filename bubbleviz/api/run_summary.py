@@ -21,7 +21,7 @@ _LINES = {
     "minus its bias without contact",
     "gas_zero": "{}",
     "model": "model   {}",
-    "shear": "{}\n        {texture}",
+    "shear": "shear   {}; force direction not verified on real sensors\n        {texture}",
     "median_total_ms": "time    depth image in → {end}: {:.1f} ms median, "
     "{p95_total_ms:.1f} ms p95",
     "median_contact_total_ms": "        {:.1f} ms median in contact",
@@ -35,13 +35,11 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
     Run times in ms are over all frames but the first, depth image in → patch out; `solve_ms` is of
     the solver alone. `contact` means frames with a contact patch, `measured_force_n` the force of
-    the wrench minus its contact-free bias, `traction` the force with friction, with half of its
-    95 % interval.
+    the wrench minus its contact-free bias.
     """
     known = [row for row in rows if row["status"] in TRUSTED]
     touching = [row for row in rows if row["patch_area_m2"] > 0.0]
     warm = rows[1:]
-    sheared = [row for row in rows if row.get("traction_status") == "ok"]
     traction = Counter(row["traction_status"] for row in rows if "traction_status" in row)
     force = _over(known, "force_n")
     return {
@@ -60,8 +58,6 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "median_residual_rms_m": _known(np.median, _over(known, "residual_rms_m")),
         "max_kkt_residual": _known(np.max, _over(known, "kkt_residual")),
         "traction_status": dict(traction) or None,
-        "median_traction_force_n": _known(np.median, _over(sheared, "traction_force_n")),
-        "median_traction_half_width_n": _known(np.median, _over(sheared, "traction_half_width_n")),
     }
 
 
@@ -87,7 +83,9 @@ def pose_statistics(rows: Sequence[PoseRow]) -> dict[str, Any]:
 def text_of(facts: dict[str, Any]) -> str:
     """Text for the terminal of the facts of a run."""
     facts = {"end": "patch out, without the first frame"} | facts
-    facts |= _pose_texts(facts) | _shear_texts(facts)
+    facts |= _pose_texts(facts)
+    if facts.get("traction_status"):
+        facts["shear"] = counted(facts["traction_status"])
     lines = [] if facts["out"] is None else [f"wrote   {facts['out']}"]
     lines.append(f"frames  {facts['frames']}: {counted(facts['status'])}")
     known = (key for key in _LINES if facts.get(key) is not None)
@@ -105,19 +103,6 @@ def _pose_texts(facts: dict[str, Any]) -> dict[str, str]:
         mm2 = [1e6 * facts[key] for key in ("median_patch_area_m2", "median_object_patch_area_m2")]
         texts["areas"] = f"{mm2[0]:.0f} mm² by the contact pressure, {mm2[1]:.0f} mm² by the object"
     return texts
-
-
-def _shear_texts(facts: dict[str, Any]) -> dict[str, str]:
-    if facts.get("traction_status") is None:
-        return {}
-    status = counted(facts["traction_status"])
-    if facts["median_traction_force_n"] is None:
-        return {"shear": f"shear   {status}"}
-    return {
-        "shear": f"shear   {facts['median_traction_force_n']:.3g} ± "
-        f"{facts['median_traction_half_width_n']:.2g} N (95 %) "
-        f"median force with friction: {status}; force direction not verified on real sensors"
-    }
 
 
 def _over(rows: Sequence[dict[str, Any]], key: str) -> list[float]:

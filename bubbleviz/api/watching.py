@@ -20,7 +20,7 @@ from bubbleviz.api.estimator import Estimator, FrameSolver
 from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_place
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary
-from bubbleviz.diagnostics import ShearSummary, shear_line
+from bubbleviz.diagnostics import shear_line
 from bubbleviz.errors import InputError, check_seconds
 from bubbleviz.live import (
     STOPPED_AFTER_S,
@@ -107,7 +107,8 @@ class WatchSummary(Summary):
     latency_median_s: float | None  # from stamp (from arrival if clocks differ) to result
     latency_p95_s: float | None
     pressure_offset_pa: float | None  # subtracted from the measured gas pressure
-    shear: ShearSummary | None  # None: not requested
+    traction_status: dict[str, int] | None  # number of frames by status; None: no shear requested
+    texture: str | None  # reference of the optical flow, or why there is none; likewise
     counters: dict[str, Any]
     warning: str | None  # mismatches that did not prevent the estimation
 
@@ -116,8 +117,10 @@ class WatchSummary(Summary):
         lines = [f"frames   {self.frames}: {counted(self.status)}; {self.rate_hz:.1f} Hz"]
         if self.max_force_n is not None:
             lines.append(f"force    {self.max_force_n:.3g} N highest")
-        if self.shear is not None:
-            lines.append(self.shear.to_text())
+        if self.traction_status is not None:
+            status = counted(self.traction_status) or "no frame"
+            lines.append(f"shear    {status}; force direction not verified on real sensors")
+            lines.append(f"         {self.texture}")
         if self.latency_median_s is not None and self.latency_p95_s is not None:
             lines.append(
                 f"latency  {1e3 * self.latency_median_s:.1f} ms median, "
@@ -239,23 +242,20 @@ class _Found:
 
     def __init__(self, watcher: Watcher) -> None:
         self._watcher, self._began = watcher, time.monotonic()
-        self._statuses: Counter[str] = Counter()
+        self._statuses, self._tractions = Counter[str](), Counter[str]()
         self._max_force_n: float | None = None
-        self._shear = None if watcher.solver.texture is None else ShearSummary()
 
     def add(self, result: Result) -> None:
         self._statuses[result.solution[0].status] += 1
         if (patch := result.trusted_patch) is not None:
             self._max_force_n = max(self._max_force_n or 0.0, float(np.linalg.norm(patch.force_n)))
-        if self._shear is not None:
-            self._shear.add(result)
+        if result.traction is not None:
+            self._tractions[result.traction.status] += 1
 
     def summary(self) -> WatchSummary:
         stream, solver = self._watcher.stream, self._watcher.solver
         latency, zero = self._watcher.latency.report(), solver.zeros.gas
-        if self._shear is not None and solver.texture is not None:
-            self._shear.reference = solver.texture.words
-        frames = self._statuses.total()
+        texture, frames = solver.texture, self._statuses.total()
         return WatchSummary(
             frames=frames,
             status=dict(self._statuses),
@@ -264,7 +264,8 @@ class _Found:
             latency_median_s=None if latency is None else latency.median_s,
             latency_p95_s=None if latency is None else latency.p95_s,
             pressure_offset_pa=None if zero is None else zero.offset_pa,
-            shear=self._shear,
+            traction_status=None if texture is None else dict(self._tractions),
+            texture=None if texture is None else texture.words,
             counters=stream.counters.as_dict(),
             warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
         )

@@ -3,7 +3,6 @@ from .frame_numbers import (
     Numbers as Numbers,
     ShearEllipse as ShearEllipse,
     ShearNumbers as ShearNumbers,
-    ShearSummary as ShearSummary,
     numbers_of as numbers_of,
     patch_numbers as patch_numbers,
     shear_line as shear_line,

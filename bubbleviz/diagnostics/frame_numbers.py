@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ import numpy as np
 from bubbleviz.membrane import Gas
 from bubbleviz.recordings import force_of
 from bubbleviz.result import HALF_95, Patch, Result, Slip, Traction
-from bubbleviz.wording import counted
 
 # Summary values of a contact with friction, with 95 % intervals.
 
@@ -202,38 +201,6 @@ def patch_numbers(patch: Patch, *, trusted: bool) -> dict[str, Any]:
         "area_m2": patch.area_m2 if trusted else NOTHING,
         "center_m": (x, y, z) if trusted else (NOTHING, NOTHING, NOTHING),
     }
-
-
-# Summary of shear over many frames.
-
-
-@dataclass
-class ShearSummary:
-    """Shear over many frames."""
-
-    status: dict[str, int] = field(default_factory=dict)  # number of frames by status
-    reference: str = ""  # reference frame of the optical flow, or why there is none
-    highest: ShearNumbers | None = None  # where |force| was largest, of the frames with status ok
-
-    def add(self, result: Result) -> None:
-        traction = result.traction
-        if traction is None:
-            return
-        self.status[traction.status] = self.status.get(traction.status, 0) + 1
-        if traction.status == "ok":
-            found = ShearNumbers.of(traction, result.slip)
-            if self.highest is None or found.force_n[0] > self.highest.force_n[0]:
-                self.highest = found
-
-    def to_text(self) -> str:
-        """Lines for the terminal; ± is half of the 95 % interval."""
-        lines = [f"shear    {counted(self.status) or 'no frame'}"]
-        if self.highest is not None:
-            numbers = _words(self.highest)
-            lines += [f"{numbers}, where the force was highest; ±: 95 % interval"]
-            lines += ["force direction not verified on real sensors"]
-        lines += filter(None, [self.reference])
-        return f"\n{9 * ' '}".join(lines)
 
 
 def shear_line(result: Result) -> str:

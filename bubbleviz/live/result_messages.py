@@ -255,22 +255,15 @@ def _friction(result: Result) -> Traction | None:
     return traction if known else None
 
 
-def _traction_wrench(_: ResultMessages, header: Any, result: Result) -> Any:
-    """Torque about B's origin, as transform libraries assume; zero without contact."""
-    if (traction := _friction(result)) is not None:
-        torque = traction.torque_about(np.zeros(3))
-        return make_wrench(header, np.concatenate([traction.force_n, torque]))
+def _traction_wrench(messages: ResultMessages, header: Any, result: Result) -> Any:
+    """The wrench, where colour took part in it or there is no contact."""
     untouched = result.traction is not None and result.traction.status == "no_contact"
-    if untouched and result.trusted_estimate is not None:
-        return make_wrench(header, np.zeros(6))
-    return None
+    known = untouched or _friction(result) is not None
+    return _wrench(messages, header, result) if known else None
 
 
-def _traction_sigma(_: ResultMessages, header: Any, result: Result) -> Any:
-    if (traction := _friction(result)) is None:
-        return None
-    sigma = traction.torque_sigma_about(np.zeros(3))
-    return make_wrench(header, np.concatenate([traction.force_sigma_n, sigma]))
+def _traction_sigma(messages: ResultMessages, header: Any, result: Result) -> Any:
+    return _wrench_sigma(messages, header, result) if _friction(result) else None
 
 
 def _traction_center(_: ResultMessages, header: Any, result: Result) -> Any:

@@ -127,8 +127,7 @@ def _known_covariance(estimate: Estimate) -> np.ndarray:
 def _shear_row(result: Result) -> dict[str, Any]:
     """Traction and slip of a frame; empty without the product traction.
 
-    NaN for unknown values, as slip without a sticking patch. `traction_half_width_n`, half of the
-    95 % interval of |force|, is used in summaries.
+    NaN for unknown values, as slip without a sticking patch.
     """
     traction, slip = result.traction, result.slip
     if traction is None:
@@ -140,7 +139,6 @@ def _shear_row(result: Result) -> dict[str, Any]:
         "traction_force_sigma_n": traction.force_sigma_n,
         "traction_torque_nm": traction.torque_nm,
         "traction_torque_sigma_nm": traction.torque_sigma_nm,
-        "traction_half_width_n": result.solution[0].force_half_width_n,
         "flow_rms_px": traction.flow_rms_px,
         "slip": np.nan if slip is None else slip.share,
         "slip_sigma": np.nan if slip is None else slip.share_sigma,
