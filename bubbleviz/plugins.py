@@ -1,13 +1,32 @@
-"""Recording formats, live sources and solvers that other packages add by entry points."""
+"""Libraries of optional extras; formats, sources and solvers that other packages add."""
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any, Literal
 
 from bubbleviz.errors import InputError
+from bubbleviz.wording import how_to_install
 
 Group = Literal["readers", "sources", "solvers"]
+
+
+def library(name: str, extra: str, what: str = "", instead: str = "") -> Any:
+    """A library of an optional extra, for `what`; `instead`: what else to do without it.
+
+    Raises
+    ------
+    InputError
+        It cannot be imported.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        prefix, suffix = what and f"{what}: ", instead and f", or {instead}"
+        raise InputError(
+            f"{prefix}{name} cannot be imported ({error}); run {how_to_install(extra)}{suffix}"
+        ) from error
 
 
 def plugin(group: Group, name: str) -> Any:

@@ -52,10 +52,11 @@ from bubbleviz.output import (
     summary_row,
     write_poses,
 )
+from bubbleviz.plugins import library
 from bubbleviz.result import Estimate, Patch, Pose, Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.wording import count_of, counted, how_to_install
+from bubbleviz.wording import count_of, counted
 
 if TYPE_CHECKING:
     import pandas
@@ -233,10 +234,9 @@ class FrameResult:
         InputError
             pyvista (extra `window`) is not installed, or the file exists.
         """
-        try:
-            import pyvista  # an extra
-        except ImportError as error:
-            raise _missing("pyvista", "window") from error
+        library("pyvista", "window")
+        import pyvista  # an extra
+
         if screenshot is not None:
             refuse_existing(screenshot, overwrite=overwrite)
         with pyvista.vtk_verbosity("error"):  # no warnings of VTK without an X server
@@ -392,11 +392,8 @@ class Run(Sequence[FrameResult], Summary):
         InputError
             pandas (extra `notebook`) is not installed.
         """
-        try:
-            import pandas  # an extra
-        except ImportError as error:
-            raise _missing("pandas") from error
-        return pandas.DataFrame(self.columns()).set_index("frame")
+        table: pandas.DataFrame = library("pandas", "notebook").DataFrame(self.columns())
+        return table.set_index("frame")
 
     def dataset(self) -> xarray.Dataset:
         """Fields of all frames with named dimensions, and units as attributes.
@@ -408,15 +405,13 @@ class Run(Sequence[FrameResult], Summary):
         InputError
             xarray (extra `notebook`) is not installed.
         """
-        try:
-            import xarray  # an extra
-        except ImportError as error:
-            raise _missing("xarray") from error
+        make = library("xarray", "notebook").Dataset
         arrays = self.arrays()
         frame = arrays.pop("frame")
         dimensions = _dimensions()
         data = {name: (dimensions[name], array, _unit(name)) for name, array in arrays.items()}
-        return xarray.Dataset(data, {"frame": frame}).set_coords("time_s")
+        dataset: xarray.Dataset = make(data, {"frame": frame}).set_coords("time_s")
+        return dataset
 
     def plot(self, path: str | Path | None = None, *, overwrite: bool = False) -> Figure:
         """Plot force, gas pressure, patch, residual and time over the frames; contact is shaded.
@@ -634,10 +629,6 @@ def _unit(name: str) -> dict[str, str]:
     """Attributes of an array of RESULT.npz: its unit, if any."""
     unit = _UNITS.get(name.rpartition("_")[2]) if "_" in name else None
     return {} if unit is None else {"units": unit}
-
-
-def _missing(library: str, extra: str = "notebook") -> InputError:
-    return InputError(f"{library} cannot be imported; run {how_to_install(extra)}")
 
 
 OneBlasThread = partial(threadpool_limits, limits=1, user_api="blas")

@@ -15,8 +15,9 @@ import numpy as np
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.live.live_source import Deliver, LiveSource, OfferedTopic, SourceUri
+from bubbleviz.plugins import library
 from bubbleviz.recordings import IMAGE, Frame, FrameMessages, Message, distortion_of, ros2_types
-from bubbleviz.wording import how_to_install, reason_of
+from bubbleviz.wording import reason_of
 
 FILES = (".bag", ".db3")
 """Formats of the SDK's recordings: ROS 1 bags until 2.57, SQLite files (rosbag2) since."""
@@ -323,13 +324,8 @@ def open_realsense(uri: SourceUri, size: tuple[int, int], prefix: str) -> RealSe
 
     Raises InputError: the package, the file or the camera does not exist.
     """
-    try:
-        import pyrealsense2 as sdk  # an optional extra
-    except ImportError as error:
-        raise uri.refusal(
-            f"the package pyrealsense2 cannot be imported ({error}); run "
-            f"{how_to_install('realsense')}, or publish the camera over Zenoh"
-        ) from error
+    instead = "publish the camera over Zenoh"
+    sdk = library("pyrealsense2", "realsense", f'--source "{uri.text}"', instead)
     if Path(uri.place).suffix.lower() in FILES:
         file = Path(uri.place)
         if not file.is_file():

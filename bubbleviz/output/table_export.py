@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bubbleviz.errors import InputError
 from bubbleviz.files import rows_of, write_rows
 from bubbleviz.output.exporter import Exporter
 from bubbleviz.output.results import csv_row, magnitude_half_width_n, summary_row
 from bubbleviz.pipeline import Product
+from bubbleviz.plugins import library
 from bubbleviz.recordings import measured_force
 from bubbleviz.result import Result
-from bubbleviz.wording import how_to_install
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,13 +116,7 @@ def write_parquet(table: Table, path: Path) -> None:
 
 def require_parquet(path: Path) -> None:
     """Raise InputError if the optional library is missing; call it before long computations."""
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise InputError(
-            f"{path}: Parquet files need pyarrow; run {how_to_install('parquet')}, or export a "
-            "table as .csv"
-        ) from error
+    library("pyarrow", "parquet", str(path), "export a table as .csv")
 
 
 # Plots over time, for print and reports.

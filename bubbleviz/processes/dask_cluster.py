@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from bubbleviz.errors import InputError
-from bubbleviz.wording import how_to_install, reason_of
+from bubbleviz.plugins import library
+from bubbleviz.wording import reason_of
 
 Item = TypeVar("Item")
 Answer = TypeVar("Answer")
@@ -58,19 +59,13 @@ def check_cluster(address: str) -> None:
 
 @contextmanager
 def _client(address: str) -> Iterator[Any]:
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InputError(
-            f"--scheduler {address}: the package distributed cannot be imported; run "
-            f"{how_to_install('cluster')}, or leave --scheduler out"
-        ) from error
+    dask = library("distributed", "cluster", f"--scheduler {address}", "leave --scheduler out")
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # replaced by InputError
     try:
         # A Client without scheduler prints a traceback and blocks when it is deleted: check first.
         if asyncio.run(_kind_of_server(address)) != "Scheduler":
             raise ValueError("not a Dask scheduler")
-        client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
+        client = dask.Client(address, timeout=TIMEOUT_S, set_as_default=False)
     except Exception as error:  # with other servers Dask raises arbitrary exceptions
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers; start one "

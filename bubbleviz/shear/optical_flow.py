@@ -10,21 +10,16 @@ import numpy as np
 
 from bubbleviz.camera import BLOCK_PX, FlowField
 from bubbleviz.errors import InputError
+from bubbleviz.plugins import library
 from bubbleviz.recordings import MIN_FRAMES, mean_inflation, temporal_correlation
-from bubbleviz.wording import how_to_install, width_by_height
+from bubbleviz.wording import width_by_height
 
 # OpenCV, which only optical flow needs.
 
 
 def opencv() -> Any:
     """The module `cv2`; InputError where it is not installed."""
-    try:
-        import cv2  # an optional extra
-    except ImportError as error:
-        raise InputError(
-            f"optical flow: OpenCV cannot be imported ({error}); run {how_to_install('colour')}"
-        ) from error
-    return cv2
+    return library("cv2", "colour", "optical flow")
 
 
 @contextmanager

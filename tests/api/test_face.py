@@ -15,10 +15,12 @@ from trimesh.viewer.notebook import scene_to_html
 import bubbleviz as bv
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
+from bubbleviz.processes import check_cluster
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import changed, with_colour_delay
 from bubbleviz.sensor_model import SensorModel
+from bubbleviz.shear import OpticalFlow
 from bubbleviz.simulation import SyntheticSource
 from tests.program import output_of, python
 
@@ -517,10 +519,24 @@ def test_a_table_and_a_dataset(estimated):
     assert table.stamp_ns.is_monotonic_increasing
 
 
-def test_without_pandas_one_sentence_says_what_to_install(estimated, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(bv.InputError, match=r"pandas cannot be imported; run .*\[notebook\]"):
-        estimated.table()
+@pytest.mark.parametrize(
+    ("name", "extra", "use"),
+    [
+        ("pandas", "notebook", lambda run: run.table()),
+        ("xarray", "notebook", lambda run: run.dataset()),
+        ("pyvista", "window", lambda run: run[0].plot()),
+        ("pyarrow", "parquet", lambda run: bv.export([run[0].result.frame], "x.parquet")),
+        ("distributed", "cluster", lambda _: check_cluster("tcp://127.0.0.1:8786")),
+        ("pyrealsense2", "realsense", lambda _: bv.connect("realsense:", "pico_flexx_75mm")),
+        ("cv2", "colour", lambda _: OpticalFlow.of(5 * [np.zeros((48, 64), np.uint8)])),
+    ],
+)
+def test_without_a_library_one_sentence_says_what_to_install(
+    estimated, monkeypatch, name, extra, use
+):
+    monkeypatch.setitem(sys.modules, name, None)  # what a missing module looks like
+    with pytest.raises(bv.InputError, match=rf"{name} cannot be imported .*; run .*\[{extra}\]"):
+        use(estimated)
 
 
 def blas_threads():

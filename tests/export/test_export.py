@@ -1,7 +1,6 @@
 """The command export: files read back by other programs' readers, against RESULT.npz."""
 
 import json
-import sys
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from typing import Any
@@ -13,8 +12,6 @@ import pyvista
 from PIL import Image
 
 import bubbleviz as bv
-from bubbleviz.errors import InputError
-from bubbleviz.output import ExportPlan
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import Recording, RecordingWriter
 from tests.program import MAIN, output_of, python, refusal, rows_of, run
@@ -276,12 +273,6 @@ def test_invalid_arguments_give_one_line_and_exit_code_2(out, more, words, tmp_p
     said = refusal("export", press, "--sensor", sensor, "--out", tmp_path / out, *more)
     assert words.lower() in said.lower()
     assert [path.name for path in tmp_path.iterdir()] == ["there"]
-
-
-def test_parquet_without_its_library_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)  # what a missing module looks like
-    with pytest.raises(InputError, match=r"pip install .*\[parquet\]"):
-        ExportPlan.of(tmp_path / "x.parquet")
 
 
 def test_every_command_reports_a_truncated_recording(press, sensor, tmp_path):
