@@ -192,7 +192,7 @@ class Alarm:
         measured = gas + GAS_NOISE * bank.rest_pressure_pa * random.standard_normal(count)
         zeros = zeros_of(self._at_rest(bank, first), self._pipeline)
         frames = (
-            bank.noisy_frame(
+            bank.frame(
                 ranges,
                 self.noise,
                 first + k,

@@ -130,7 +130,9 @@ def _row(
 ) -> EdgeRow:
     pipeline.restart()
     for k in range(2):
-        result = pipeline.process(zeros.applied(bank.frame(sighting, noise, k)), accuracy.PRODUCTS)
+        result = pipeline.process(
+            zeros.applied(bank.frame(sighting.range_m, noise, k)), accuracy.PRODUCTS
+        )
     estimator, press = pipeline.estimator, sighting.press
     place, shape = (edge_bound(estimator, sighting, degree) for degree in (PLACE, SHAPE))
     row = EdgeRow(
@@ -180,7 +182,7 @@ def iou_by_threshold(
     bank: TruthBank, sighting: SimulatedPress, noise: DepthNoise, blur_px: float, index: int
 ) -> np.ndarray:
     """IoU of the pixels whose range changed by more than each of the thresholds (t,)."""
-    frame, patch = bank.frame(sighting, noise, index), sighting.truth.patch_mask
+    frame, patch = bank.frame(sighting.range_m, noise, index), sighting.truth.patch_mask
     change = np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m)
     if blur_px > 0.0:
         change = ndimage.gaussian_filter(change, blur_px)

@@ -92,14 +92,7 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     Raises InputError: a missing column or an invalid line.
     """
     path = Path(path)
-    rows = read_rows(path)
-    if not rows:
-        raise InputError(f"{path}: no poses; give a line for each frame below the header")
-    missing = [name for name in COLUMNS if name not in rows[0]]
-    if missing:
-        raise InputError(
-            f"{path}: no column {missing[0]}; add it, as the header needs {','.join(COLUMNS)}"
-        )
+    rows = read_rows(path, COLUMNS)
     poses = np.empty((len(rows), 4, 4))
     for k, row in enumerate(rows):
         try:
@@ -111,16 +104,24 @@ def read_path(path: str | Path) -> tuple[np.ndarray, np.ndarray | None]:
     return poses, _times(path, rows)
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Lines of a CSV file by the names in its header.
+def read_rows(path: Path, needed: Sequence[str]) -> list[dict[str, str]]:
+    """Lines of a CSV file of poses, one or more, by the names in its header.
 
-    Raises InputError: it cannot be read as CSV.
+    Raises InputError: it cannot be read as CSV, or lacks a column that is needed.
     """
     with (
         as_input_error(path, "the CSV file", "correct the file or its path"),
         path.open(newline="", encoding="utf-8-sig") as file,
     ):
-        return list(csv.DictReader(file))
+        rows = list(csv.DictReader(file))
+    if not rows:
+        raise InputError(f"{path}: no poses; give a line for each frame below the header")
+    for name in needed:
+        if name not in rows[0]:
+            raise InputError(
+                f"{path}: no column {name}; add it, as the header needs {','.join(needed)}"
+            )
+    return rows
 
 
 def _times(path: Path, rows: list[dict[str, str]]) -> np.ndarray | None:

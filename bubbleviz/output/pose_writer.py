@@ -87,14 +87,8 @@ def read_poses(path: str | Path) -> dict[int, dict[str, Any]]:
     Raises InputError: no file of poses, or an invalid line.
     """
     path = Path(path)
-    rows = read_rows(path)
-    needed = ("frame", "status", *COLUMNS)
-    missing = [name for name in needed if not rows or name not in rows[0]]
-    if missing:
-        lack = f"column {missing[0]}" if rows else "rows"
-        raise InputError(f"{path}: no {lack}; give the CSV of bubbleviz pose")
     poses = {}
-    for line, row in enumerate(rows, 2):
+    for line, row in enumerate(read_rows(path, ("frame", "status", *COLUMNS)), 2):
         try:
             poses[int(row["frame"])] = pose_columns(row)
         except (TypeError, ValueError) as error:

@@ -44,13 +44,6 @@ EDGE_RADIUS_M = 5e-4
 _MAX_LEVELS = 4  # of refinement
 
 
-class RefinedPress(NamedTuple):
-    """A press and its refined mesh."""
-
-    mesh: MembraneMesh
-    contact: RubberContact
-
-
 def refined_press(
     # membrane on a refinement of `mesh`, whose nodes it may move slightly
     rubber_on: Callable[[MembraneMesh], RubberMembrane],
@@ -58,8 +51,8 @@ def refined_press(
     mesh: MembraneMesh,  # before refinement
     obj: RigidObject,
     T_B_O: np.ndarray,  # (4, 4)
-) -> RefinedPress:
-    """Press an object; check whether the contact has converged."""
+) -> tuple[MembraneMesh, RubberContact]:
+    """Press an object; the refined mesh, and the contact, which may not have converged."""
 
     def forward_on(mesh: MembraneMesh) -> RubberForward:
         rubber = rubber_on(mesh)
@@ -78,7 +71,7 @@ def refined_press(
         contact = forward.press(obj, T_B_O, start, quick=True)
     if not contact.converged:
         contact = forward.press(obj, T_B_O)
-    return RefinedPress(forward.mesh, contact)
+    return forward.mesh, contact
 
 
 def _to_refine(
@@ -152,7 +145,7 @@ class RubberPresses(Presses):
     @classmethod
     def of(cls, model: SensorModel, nodes: int = TRUTH_NODES) -> RubberPresses:
         """Presses into a sensor's membrane, on a mesh of about `nodes` nodes."""
-        rubber = partial(_rubber_of, model.sensor, model.tension_n_per_m)
+        rubber = partial(build_rubber, model.sensor, tension_n_per_m=model.tension_n_per_m)
         mesh = simulation_mesh(model, nodes)
         return cls(model.camera, mesh, model.sensor.pneumatics, rubber)
 
@@ -180,10 +173,6 @@ class LinearPresses(Presses):
                 f"{obj.name} cuts into the clamped rim; raise the object or move it inward"
             )
         return self.mesh, contact
-
-
-def _rubber_of(sensor: Sensor, tension_n_per_m: float, mesh: MembraneMesh) -> RubberMembrane:
-    return build_rubber(sensor, mesh, tension_n_per_m)
 
 
 def rubber_sensor(sensor: Sensor) -> Sensor:

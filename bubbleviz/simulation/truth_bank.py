@@ -61,12 +61,6 @@ class TruthBank:
         return press.pose(self.mesh, self.seed)
 
     def frame(
-        self, simulated: SimulatedPress, noise: DepthNoise, index: int, stride: int = 1
-    ) -> Frame:
-        """Frame of a press, with new noise for every `index`, at every stride-th pixel."""
-        return self.noisy_frame(simulated.range_m, noise, index, stride)
-
-    def noisy_frame(
         self,
         range_m: np.ndarray,
         noise: DepthNoise,
@@ -74,7 +68,7 @@ class TruthBank:
         stride: int = 1,
         gas_pressure_pa: float | None = None,
     ) -> Frame:
-        """Frame of ranges (H, W), m, with noise."""
+        """Frame of ranges (H, W), m, with the noise of an `index`, at every stride-th pixel."""
         depth = noise.depth_image(self.camera, range_m, self.seed, index)[::stride, ::stride]
         depth = np.ascontiguousarray(depth)
         return Frame(index, index / 30.0, depth, gas_pressure_pa=gas_pressure_pa)
@@ -88,7 +82,7 @@ class TruthBank:
     ) -> HeldFrames:
         """Half a second without contact, ending at 0 s, for `zeros_of`."""
         frames = [
-            self.noisy_frame(self.rest_range_m, noise, first + k, stride, gas_pressure_pa)
+            self.frame(self.rest_range_m, noise, first + k, stride, gas_pressure_pa)
             for k in range(ZERO_FRAMES)
         ]
         times = np.arange(-ZERO_FRAMES, 0) / 30.0
@@ -104,11 +98,11 @@ class TruthBank:
         return _load(press, path)
 
     def _solved(self, press: Press) -> RubberTruth:
-        args = self._presses, press, self.pose(press)
+        solve, args = self._presses.press, (study_object(press.object_name), self.pose(press))
         if self._limit_s is None:
-            return _pressed(*args)
+            return solve(*args)
         with WorkerProcess(MEMORY_LIMIT_BYTES) as worker:
-            outcome = worker.call(_pressed, *args, limit_s=self._limit_s)
+            outcome = worker.call(solve, *args, limit_s=self._limit_s)
         if outcome.kind != "returned":
             raise SolveError(outcome.detail)
         truth: RubberTruth = outcome.value
@@ -117,10 +111,6 @@ class TruthBank:
     def _with_truth(self, press: Press, solved: RubberTruth) -> SimulatedPress:
         view = MembraneView(self.camera, solved.mesh)
         return SimulatedPress(press, solved.mesh, Truth.of(solved.contact, view), solved.range_m)
-
-
-def _pressed(presses: Presses, press: Press, T_B_O: np.ndarray) -> RubberTruth:
-    return presses.press(study_object(press.object_name), T_B_O)
 
 
 def _save(simulated: SimulatedPress, path: Path) -> None:

@@ -262,7 +262,7 @@ class Bench:
         zeros: Zeros,
     ) -> Row:
         frames = (
-            zeros.applied(self.bank.frame(simulated, noise, k, setup.stride))
+            zeros.applied(self.bank.frame(simulated.range_m, noise, k, setup.stride))
             for k in range(self._grid.repeats + 1)
         )
         pipeline.restart()

@@ -37,7 +37,7 @@ def test_a_press_of_a_millimetre_is_found_and_noise_is_not(setup, dome, ladder):
     bank, silent = ladder.bank, []
     for k in range(GRID.rest_frames):
         pipeline.restart()
-        frame = bank.noisy_frame(bank.rest_range_m, ONE, k)
+        frame = bank.frame(bank.rest_range_m, ONE, k)
         estimate = pipeline.process(frame, frozenset({"estimate"})).estimate
         silent.append(estimate.iterations == 0)
     assert np.mean(silent) > 0.8

@@ -44,7 +44,7 @@ def test_ground_truth_lies_within_its_band(sensor, bank):
 def test_oracle_is_the_best_threshold_with_iou_at_most_1(bank):
     sighting = bank.simulate(Press("sphere", 0.012, False))
     scores = iou_by_threshold(bank, sighting, ONE, 0.0, 0)
-    frame = bank.frame(sighting, ONE, 0)
+    frame = bank.frame(sighting.range_m, ONE, 0)
     change = np.abs(np.nan_to_num(bank.camera.range_image(frame.depth_m) - bank.rest_range_m))
     for k in (0, 60, 100):
         expected = iou(change > THRESHOLDS_M[k], sighting.truth.patch_mask)

@@ -67,7 +67,7 @@ def test_invariance_on_simulated_rubber(name, obj, share, noise):
         sighting = bank.simulate(Press(obj, share * float(bank.mesh.nodes[:, 2].max()), False))
     except SolveError as error:  # deep pucks
         pytest.skip(str(error))
-    frame = bank.frame(sighting, noise, 0)
+    frame = bank.frame(sighting.range_m, noise, 0)
     force = {
         changed: force_of(each.process(frame, PATCH))
         for changed, each in variants(own.model(noise)).items()

@@ -42,7 +42,7 @@ def strength(sensor, sightings, bank, factor):
     pipeline = Pipeline.of(sensor, options=options)
     L, rows = cotangent_laplacian(pipeline.mesh), []
     for sighting in sightings:
-        frame = bank.frame(sighting, DepthNoise(relative=sensor.camera.noise_relative), 0)
+        frame = bank.frame(sighting.range_m, DepthNoise(relative=sensor.camera.noise_relative), 0)
         pipeline.process(replace(frame, depth_m=np.full_like(frame.depth_m, np.nan)), PRODUCTS)
         result = pipeline.process(frame, PRODUCTS)
         assert result.estimate.status == "ok"

@@ -83,7 +83,7 @@ def test_held_out_objects_are_marked():
 
 def test_noise_differs_between_frames_and_is_reproducible(bank):
     sighting = bank.simulate(Press("sphere", 0.012, False))
-    first, again, second = (bank.frame(sighting, ONE, k).depth_m for k in (0, 0, 1))
+    first, again, second = (bank.frame(sighting.range_m, ONE, k).depth_m for k in (0, 0, 1))
     assert np.array_equal(first, again, equal_nan=True)
     assert not np.array_equal(first, second, equal_nan=True)
 

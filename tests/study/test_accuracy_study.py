@@ -66,7 +66,9 @@ def test_the_truth_itself_has_no_errors(sensor):
         "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
     )
     patch = replace(pipeline.patch(estimate), pixel_mask=truth.patch_mask)
-    errors = errors_of(pipeline, Result(bank.frame(sighting, NONE, 0), estimate, patch), sighting)
+    errors = errors_of(
+        pipeline, Result(bank.frame(sighting.range_m, NONE, 0), estimate, patch), sighting
+    )
     assert errors.iou == 1.0
     assert errors.force_error_relative == pytest.approx(0.0, abs=1e-12)
     assert errors.cop_error_m < 1e-3  # the reported centre is that of the patch alone
