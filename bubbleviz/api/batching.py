@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 from collections.abc import Generator, Iterator, Sequence
@@ -19,7 +18,6 @@ import numpy as np
 import bubbleviz
 from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
-from bubbleviz.api.run_summary import statistics
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import (
@@ -44,9 +42,8 @@ RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
 SUFFIXES = (".mcap", ".db3", ".bag")
 _SUMMARY_TABLE, _LOCK = "summary.csv", ".batch.lock"
 _OF_OPEN = "frames", "depth_topic"  # options that `open` takes
-_NAN = float("nan")
 _HEADER = (
-    *("recording", "frames", "contact", "max N", "mean N", "wrench N", "residual mm", "ms/frame"),
+    *("recording", "frames", "contact", "max N", "median N", "wrench N", "residual mm", "ms/frame"),
     *("worst frame", "outcome"),
 )
 
@@ -57,24 +54,24 @@ Outcome = Literal["done", "kept", "bad_input", "failed"]
 
 @dataclass(frozen=True)
 class BatchRow:
-    """One recording in the summary table; NaN or -1 if unknown."""
+    """One recording in the summary table, with facts of its `Run`; None if unknown."""
 
     recording: str  # path relative to the batch's folder
     outcome: Outcome
     frames: int = 0
     contact_frames: int = 0  # with a contact patch
     untrusted_frames: int = 0  # neither `ok` nor `no_contact`
-    max_force_n: float = _NAN  # over trusted frames
-    mean_contact_force_n: float = _NAN  # over trusted frames with a patch
-    mean_contact_measured_force_n: float = _NAN  # of the wrench, minus its contact-free bias
-    median_residual_rms_m: float = _NAN
-    median_ms: float = _NAN  # depth image in → patch out, without the first frame
-    worst_frame: int = -1  # the first untrusted frame, else the frame with the largest residual
+    max_force_n: float | None = None
+    median_contact_force_n: float | None = None
+    median_contact_measured_force_n: float | None = None
+    median_residual_rms_m: float | None = None
+    median_total_ms: float | None = None
+    worst_frame: int | None = None  # first untrusted one, else that with the largest residual
     worst_status: str = ""
-    worst_residual_rms_m: float = _NAN
+    worst_residual_rms_m: float | None = None
     sensor: str = ""
     error: str = ""  # one sentence; empty if there is a result
-    note: str = ""  # missing data, or differences from the sensor file
+    warning: str | None = None
     kappa: float | None = None  # None: automatic rule of the patch
 
     @property
@@ -83,57 +80,38 @@ class BatchRow:
         return self.outcome in ("done", "kept")
 
     @classmethod
-    def of(cls, recording: str, rows: list[dict[str, Any]], context: dict[str, Any]) -> BatchRow:
-        """Row of a `Run` from its frames, at least one of them trusted, and its context."""
-        summary = statistics(rows)
+    def of(cls, recording: str, rows: list[dict[str, Any]], facts: dict[str, Any]) -> BatchRow:
+        """Row of a `Run` from its frames, at least one of them trusted, and its facts."""
         trusted = [row["status"] in TRUSTED for row in rows]
-        touching = [row for row in rows if row["patch_area_m2"] > 0.0]
         residuals = [row["residual_rms_m"] for row in rows]
-        worst = rows[int(np.nanargmax(residuals)) if all(trusted) else trusted.index(False)]
-        measured = np.array([row["measured_force_n"] for row in touching])
-        median_ms = summary["median_total_ms"]
-        return cls(
-            recording,
-            "done",
-            frames=len(rows),
-            contact_frames=len(touching),
-            untrusted_frames=len(rows) - sum(trusted),
-            max_force_n=summary["max_force_n"],
-            mean_contact_force_n=_mean([np.linalg.norm(row["force_n"]) for row in touching]),
-            mean_contact_measured_force_n=_mean(measured[np.isfinite(measured)]),
-            median_residual_rms_m=summary["median_residual_rms_m"],
-            median_ms=_NAN if median_ms is None else median_ms,
-            worst_frame=worst["frame"],
-            worst_status=worst["status"],
-            worst_residual_rms_m=float(worst["residual_rms_m"]),
-            sensor=context["sensor"],
-            note=context["warning"] or "",
-            kappa=context["kappa"],
-        )
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> BatchRow:
-        """Row from its JSON object. Raises TypeError: wrong fields."""
-        if set(values) != {field.name for field in fields(cls)}:
-            raise TypeError("wrong fields of a row")
-        known: Any = {k: _NAN if v is None and k != "kappa" else v for k, v in values.items()}
-        return cls(**known)
+        worst = int(np.nanargmax(residuals)) if all(trusted) else trusted.index(False)
+        known = {field.name: facts[field.name] for field in fields(cls) if field.name in facts}
+        own: dict[str, Any] = {
+            "recording": recording,
+            "outcome": "done",
+            "contact_frames": sum(row["patch_area_m2"] > 0.0 for row in rows),
+            "untrusted_frames": trusted.count(False),
+            "worst_frame": rows[worst]["frame"],
+            "worst_status": rows[worst]["status"],
+            "worst_residual_rms_m": float(residuals[worst]),
+        }
+        return cls(**known | own)
 
     def cells(self) -> list[str]:
         """Texts for the terminal."""
         if not self.has_result:
             return [self.recording, *["–"] * (len(_HEADER) - 2), self.outcome]
         trusted = self.worst_status in TRUSTED
-        why = _number(1e3 * self.worst_residual_rms_m, " mm") if trusted else self.worst_status
+        why = f"{_number(self.worst_residual_rms_m, 1e3)} mm" if trusted else self.worst_status
         return [
             self.recording,
             str(self.frames),
             str(self.contact_frames),
             _number(self.max_force_n),
-            _number(self.mean_contact_force_n),
-            _number(self.mean_contact_measured_force_n),
-            _number(1e3 * self.median_residual_rms_m),
-            _number(self.median_ms),
+            _number(self.median_contact_force_n),
+            _number(self.median_contact_measured_force_n),
+            _number(self.median_residual_rms_m, 1e3),
+            _number(self.median_total_ms),
             f"{self.worst_frame} ({why})",
             self.outcome,
         ]
@@ -155,7 +133,7 @@ class BatchSummary(Summary):
             [
                 table(_HEADER, [row.cells() for row in self.rows]),
                 *(row.error for row in self.rows if not row.has_result),
-                *(f"{row.recording}: {row.note}" for row in self.rows if row.note),
+                *(f"{row.recording}: {row.warning}" for row in self.rows if row.warning),
                 f"wrote {self.table}: {with_result} of {len(self.rows)} recordings have a result"
                 f"{earlier}",
             ]
@@ -373,7 +351,7 @@ def _finished(out: Path, key: str) -> BatchRow | None:
         return None
     try:
         summary = json.loads((out / SUMMARY).read_text(encoding="utf-8"))
-        row = BatchRow.from_dict(summary["row"])
+        row = BatchRow(**summary["row"])
     except (OSError, ValueError, TypeError, KeyError):
         return None
     return replace(row, outcome="kept") if summary.get("key") == key else None
@@ -389,7 +367,7 @@ def _estimated(job: Job, sensor_name: str, key: str) -> BatchRow:
     with whole_file(out) as folder, open(job.recording, **opening) as frames:
         folder.mkdir()
         run = estimate(frames, sensor_name, out=folder / RESULT, csv=folder / TABLE, **options)
-        row = BatchRow.of(job.name, run.rows(), run.context)
+        row = BatchRow.of(job.name, run.rows(), run.facts())
         write_json(folder / SUMMARY, {"key": key, "row": asdict(row)})
     return row
 
@@ -458,9 +436,5 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _mean(values: Sequence[Any] | np.ndarray) -> float:
-    return float(np.mean(values)) if len(values) else _NAN
-
-
-def _number(value: float, unit: str = "") -> str:
-    return f"{value:.3g}{unit}" if math.isfinite(value) else "–"
+def _number(value: float | None, factor: float = 1.0) -> str:
+    return "–" if value is None else f"{factor * value:.3g}"
