@@ -9,7 +9,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -122,7 +122,7 @@ def record(
         size_bytes=status.size_bytes,
         most_waiting_bytes=status.most_waiting_bytes,
         stalls=status.stalls,
-        counters=counters.as_dict(),
+        counters=asdict(counters),
     )
 
 

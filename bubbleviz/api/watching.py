@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -266,7 +266,7 @@ class _Found:
             pressure_offset_pa=None if zero is None else zero.offset_pa,
             traction_status=None if texture is None else dict(self._tractions),
             texture=None if texture is None else texture.words,
-            counters=stream.counters.as_dict(),
+            counters=asdict(stream.counters),
             warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
         )
 

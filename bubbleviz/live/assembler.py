@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -101,9 +101,6 @@ class Counters:
     missed: int = 0  # messages the publisher counted that never arrived, where the transport counts
     skipped: int = 0  # frames replaced by a newer one before they were taken
     problem: str = ""  # text: the last error
-
-    def as_dict(self) -> dict[str, int | str]:
-        return asdict(self)
 
 
 WAIT_NS = 20_000_000

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -96,7 +97,7 @@ class ResultMessages:
         kinds = ros2_types().types
         entry, pair = (kinds[f"diagnostic_msgs/msg/{n}"] for n in ("DiagnosticStatus", "KeyValue"))
         estimate = None if result is None else result.estimate
-        values = {name: str(value) for name, value in counters.as_dict().items()}
+        values = {name: str(value) for name, value in asdict(counters).items()}
         if estimate is not None and result is not None:
             values["residual_rms_m"] = f"{estimate.residual_rms_m:.3g}"
             values["total_ms"] = f"{result.times_ms.get('total', np.nan):.3g}"

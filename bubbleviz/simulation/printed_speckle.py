@@ -9,14 +9,13 @@ import numpy as np
 from scipy import ndimage
 
 from bubbleviz.camera import MembraneView
-from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
 
 _VOXELS, _VOXELS_PER_BLOT = 96, 4
 """Side and resolution of the periodic cube of noise that the speckle is a section of."""
 _DARK, _BRIGHT, _EDGE = 60.0, 190.0, 3.0  # grey levels of ink and paper, steepness between them
 _BACKGROUND = 100.0  # grey level beside the membrane
-_BLOT_PX = 8.0  # default size of a blot at the centre of the membrane; as on the real sensor
+_BLOT_PX = 8.0  # size of a blot at the centre of the membrane; as on the real sensor
 _NOISE_STREAM = 3  # random stream of the seed, after those of `DepthNoise`
 
 
@@ -24,20 +23,15 @@ _NOISE_STREAM = 3  # random stream of the seed, after those of `DepthNoise`
 class Speckle:
     """Parameters of the printed speckle and of its images."""
 
-    blot_m: float | None = None  # size of a blot, m; None: 8 pixels in the image
     noise: float = 2.0  # σ of the grey levels (0 … 255)
-    shaded: bool = True  # lit from the camera: brightest where the membrane faces it
     seed: int = 0  # of pattern and noise
-
-    def __post_init__(self) -> None:
-        if self.blot_m is not None and not 0.0 < self.blot_m < 0.1:
-            raise InputError(f"texture blot_m = {self.blot_m}: give m, above 0 and below 0.1")
-        if not 0.0 <= self.noise < 100.0:
-            raise InputError(f"texture noise = {self.noise}: give grey levels from 0 to below 100")
 
 
 class PrintedMembrane:
-    """Renders the speckle, which is fixed to the material, on the deformed membrane."""
+    """Renders the speckle, which is fixed to the material, on the deformed membrane.
+
+    It is lit from the camera: brightest where it faces it.
+    """
 
     def __init__(
         self,
@@ -46,7 +40,7 @@ class PrintedMembrane:
     ) -> None:
         self._speckle, self._view = speckle, view
         middle_m = np.linalg.norm(view.mesh.nodes.mean(axis=0) - view.camera.center)
-        self._blot_m = speckle.blot_m or _BLOT_PX * middle_m / view.camera.intrinsics.fx
+        self._blot_m = _BLOT_PX * middle_m / view.camera.intrinsics.fx
 
     def image(
         self,
@@ -57,12 +51,11 @@ class PrintedMembrane:
         mesh = self._view.mesh
         hits = self._view.hits(displacement_m)
         grey = self.grey(hits.values(mesh.nodes, mesh.triangles))
-        if self._speckle.shaded:
-            deformed = MembraneMesh(mesh.deformed(displacement_m), mesh.triangles, mesh.rim)
-            normals = hits.values(deformed.normals, mesh.triangles)
-            rays = self._view.camera.directions[hits.ray]
-            facing = np.einsum("kx,kx->k", normals, rays) / np.linalg.norm(normals, axis=1)
-            grey *= 0.5 + 0.5 * np.clip(facing, 0.0, 1.0)
+        deformed = MembraneMesh(mesh.deformed(displacement_m), mesh.triangles, mesh.rim)
+        normals = hits.values(deformed.normals, mesh.triangles)
+        rays = self._view.camera.directions[hits.ray]
+        facing = np.einsum("kx,kx->k", normals, rays) / np.linalg.norm(normals, axis=1)
+        grey *= 0.5 + 0.5 * np.clip(facing, 0.0, 1.0)
         image = np.full(self._view.shape, _BACKGROUND)
         image.ravel()[hits.ray] = grey
         random = np.random.default_rng([self._speckle.seed, index, _NOISE_STREAM])
