@@ -253,7 +253,8 @@ class FrameAssembler:
 
     def _is_ours(self, message: Message) -> bool:
         topic, kind = message.topic, message.type
-        expected = self._names.expected_type(topic) or self._types.get(topic)
+        types = self._names.chosen.get(topic, ())
+        expected = types[0] if len(types) == 1 else self._types.get(topic)
         if expected is not None and kind != expected:
             self.counters.wrong_type += 1
             self._note(message, f"a message of type {kind}, expected {expected}")

@@ -44,10 +44,17 @@ class TopicNames:
     prefix: str = ""  # topics without it belong to another sensor
     with_colour: bool = False  # whether colour images are requested
 
-    def expected_type(self, topic: str) -> str | None:
-        """Type that a topic must have for its chosen role; None if any is possible."""
-        chosen = {self.info: CAMERA_INFO, self.pressure: PRESSURE, self.wrench: WRENCH}
-        return chosen.get(topic)
+    @property
+    def chosen(self) -> dict[str, tuple[str, ...]]:
+        """Topics chosen by name, with the types that each may have."""
+        roles = {
+            self.depth: DEPTH_TYPES,
+            self.info: (CAMERA_INFO,),
+            self.pressure: (PRESSURE,),
+            self.wrench: (WRENCH,),
+            self.colour: (IMAGE, COMPRESSED_IMAGE),
+        }
+        return {name: types for name, types in roles.items() if name is not None}
 
     def wants(self, topic: str, kind: str) -> bool:
         """Whether messages of a topic and type can be this sensor's."""
@@ -57,17 +64,9 @@ class TopicNames:
             return False
         if self.is_colour(topic, kind):
             return self.with_colour and (self.colour is None or topic == self.colour)
-        chosen = {
-            **dict.fromkeys(DEPTH_TYPES, self.depth),
-            CAMERA_INFO: self.info,
-            PRESSURE: self.pressure,
-            WRENCH: self.wrench,
-        }
-        if kind not in chosen:
-            return False
-        name = chosen[kind]
-        if name is not None:
-            return topic == name
+        others = {name: types for name, types in self.chosen.items() if name != self.colour}
+        if named := [name for name, types in others.items() if kind in types]:
+            return topic in named
         return is_used(topic, kind) and not topic.startswith(RESULTS)
 
     def is_colour(self, topic: str, kind: str) -> bool:

@@ -33,12 +33,9 @@ from bubbleviz.live.zenoh_session import (
     why_no_session,
 )
 from bubbleviz.recordings import (
-    CAMERA_INFO,
     COMPRESSED,
     COMPRESSED_IMAGE,
     IMAGE,
-    PRESSURE,
-    WRENCH,
     Message,
     are_static_poses,
 )
@@ -90,9 +87,8 @@ class ZenohSource(LiveSource):
 
     def _check_names(self) -> None:
         """Raise InputError for a topic chosen by name that Zenoh would refuse."""
-        names = self._names
-        for name in (names.depth, names.info, names.pressure, names.wrench, names.colour):
-            if name is not None and not is_topic("/" + name.strip("/")):
+        for name in self._names.chosen:
+            if not is_topic("/" + name.strip("/")):
                 raise InputError(
                     f"{self.name}: {name!r} is not a topic name; give one such as /bubble/depth"
                 )
@@ -108,16 +104,11 @@ class ZenohSource(LiveSource):
 
     def _named(self) -> list[tuple[str, str]]:
         """Topics chosen by name, with their types."""
-        names = self._names
-        colour = names.colour if names.with_colour else None
-        roles = (
-            (names.depth, _image_type(names.depth)),
-            (names.info, CAMERA_INFO),
-            (names.pressure, PRESSURE),
-            (names.wrench, WRENCH),
-            (colour, _image_type(colour)),
-        )
-        return [(topic, kind) for topic, kind in roles if topic is not None]
+        return [
+            (topic, types[0] if len(types) == 1 else _image_type(topic))
+            for topic, types in self._names.chosen.items()
+            if topic != self._names.colour or self._names.with_colour
+        ]
 
     def _on_token(self, sample: Any) -> None:
         self._tokens.put((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
@@ -280,7 +271,6 @@ class ZenohSource(LiveSource):
             del self._counts[next(iter(self._counts))]
 
 
-def _image_type(topic: str | None) -> str:
+def _image_type(topic: str) -> str:
     """Type of an image topic by its name, for those that are not announced."""
-    compressed = topic is not None and topic.endswith((f"/{COMPRESSED}", "/compressed"))
-    return COMPRESSED_IMAGE if compressed else IMAGE
+    return COMPRESSED_IMAGE if topic.endswith((f"/{COMPRESSED}", "/compressed")) else IMAGE
