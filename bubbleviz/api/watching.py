@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 import time
@@ -53,6 +54,8 @@ class Watcher:
         self.stream, self.solver, self._first = stream, solver, first
         self.latency = LatencyMeter()
         self.last: Result | None = None
+        self._began, self._max_force_n = time.monotonic(), math.nan
+        self._statuses, self._tractions = Counter[str](), Counter[str]()
 
     @classmethod
     def on(
@@ -86,14 +89,37 @@ class Watcher:
         self._first = None
         if frame is None:
             return None
-        self.last = self.solver.solve(frame)
+        self.last = result = self.solver.solve(frame)
         self.latency.add(frame, time.time_ns())
-        return self.last
+        self._statuses[result.solution[0].status] += 1
+        if (patch := result.trusted_patch) is not None:
+            self._max_force_n = np.fmax(self._max_force_n, np.linalg.norm(patch.force_n))
+        if result.traction is not None:
+            self._tractions[result.traction.status] += 1
+        return result
 
     def results(self, timeout_s: float | None) -> Iterator[FrameResult]:
         """Results of the newest frames until the source ends."""
         for result in self.stream.each(self.step, timeout_s):
             yield FrameResult(result, self.solver.pipeline.model)
+
+    def summary(self) -> WatchSummary:
+        """Summary of the results so far."""
+        stream, solver, frames = self.stream, self.solver, self._statuses.total()
+        latency, zero, texture = self.latency.report(), solver.zeros.gas, solver.texture
+        return WatchSummary(
+            frames=frames,
+            status=dict(self._statuses),
+            rate_hz=frames / (time.monotonic() - self._began),
+            max_force_n=None if math.isnan(self._max_force_n) else float(self._max_force_n),
+            latency_median_s=None if latency is None else latency.median_s,
+            latency_p95_s=None if latency is None else latency.p95_s,
+            pressure_offset_pa=None if zero is None else zero.offset_pa,
+            traction_status=None if texture is None else dict(self._tractions),
+            texture=None if texture is None else texture.words,
+            counters=asdict(stream.counters),
+            warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
+        )
 
 
 @dataclass(frozen=True)
@@ -223,52 +249,17 @@ def _watch(
     stop: threading.Event,
     duration_s: float | None,
 ) -> WatchSummary:
-    stream, found, silent = watcher.stream, _Found(watcher), False
+    stream, silent = watcher.stream, False
     with tqdm(unit=" frames", disable=None, file=sys.stderr) as bar:  # only on a terminal
         for result in _until_over(watcher, stop, duration_s):
             if result is not None:
-                found.add(result)
                 send(result, watcher.solver.pipeline)
                 bar.update()
             silent = _warn_of_silence(stream, silent)
             if send.diagnose():
                 newest = _newest(watcher.last, watcher.solver.texture)
                 bar.set_postfix_str(", ".join(filter(None, (*newest, stream.status().text))))
-    return found.summary()
-
-
-class _Found:
-    """Statistics of the results of a watcher."""
-
-    def __init__(self, watcher: Watcher) -> None:
-        self._watcher, self._began = watcher, time.monotonic()
-        self._statuses, self._tractions = Counter[str](), Counter[str]()
-        self._max_force_n: float | None = None
-
-    def add(self, result: Result) -> None:
-        self._statuses[result.solution[0].status] += 1
-        if (patch := result.trusted_patch) is not None:
-            self._max_force_n = max(self._max_force_n or 0.0, float(np.linalg.norm(patch.force_n)))
-        if result.traction is not None:
-            self._tractions[result.traction.status] += 1
-
-    def summary(self) -> WatchSummary:
-        stream, solver = self._watcher.stream, self._watcher.solver
-        latency, zero = self._watcher.latency.report(), solver.zeros.gas
-        texture, frames = solver.texture, self._statuses.total()
-        return WatchSummary(
-            frames=frames,
-            status=dict(self._statuses),
-            rate_hz=frames / (time.monotonic() - self._began),
-            max_force_n=self._max_force_n,
-            latency_median_s=None if latency is None else latency.median_s,
-            latency_p95_s=None if latency is None else latency.p95_s,
-            pressure_offset_pa=None if zero is None else zero.offset_pa,
-            traction_status=None if texture is None else dict(self._tractions),
-            texture=None if texture is None else texture.words,
-            counters=asdict(stream.counters),
-            warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
-        )
+    return watcher.summary()
 
 
 def _until_over(
