@@ -91,7 +91,10 @@ def test_a_recording_whose_pressure_starts_late_or_ends_early_is_zeroed(sensor, 
     assert run.context["gas_zero"] == "gas pressure zero: +1500 Pa from " + (
         "3 contact-free frames" if missing == 0 else "4 contact-free frames"
     )
+    assert run.context["gas_zero"] in run.to_text()
+    assert float(run.provenance["gas_pressure_offset_pa"]) == pytest.approx(1500.0, abs=1.0)
     assert run[-1].force_n == pytest.approx(bv.estimate(whole, sensor)[-1].force_n, rel=0.03)
+    assert "no_contact" not in bv.estimate(whole, sensor, zero_gas=False).status  # it is believed
 
 
 @pytest.mark.parametrize("pressed", [True, False])
@@ -106,5 +109,7 @@ def test_a_pressure_sensor_that_repeats_one_value_is_not_used(tmp_path, sensor, 
         for name, gas in (("frozen", REFERENCE), ("unrecorded", None))
     )
     assert ("never changes, not even by contact" in (frozen.warning or "")) == pressed
+    assert unrecorded.context["gas_zero"] is None
+    assert "gas_pressure_offset_pa" not in unrecorded.provenance
     np.testing.assert_array_equal(frozen.force_n, unrecorded.force_n)
     assert (np.linalg.norm(frozen.force_n[-1]) > 1.0) == pressed

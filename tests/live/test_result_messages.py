@@ -1,17 +1,14 @@
-"""Results as ROS 2 messages, over Zenoh and into a recording; the zero of the gas pressure."""
+"""Results as ROS 2 messages, over Zenoh."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_press import record
 from streams import over_zenoh
 from wire import STORE
 
-import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
 from bubbleviz.api.estimator import PRODUCTS
-from bubbleviz.errors import InputError
 from bubbleviz.live import (
     DIAGNOSTICS,
     POSE,
@@ -291,35 +288,6 @@ def test_only_subscribed_topics_are_made(pipeline, pressed, eventually):
     assert topics == ["/bubble/membrane"]
     names = [f"%bubble%{name}" for name, each in RESULT_TOPICS.items() if each.product == "patch"]
     assert sorted(announced) == sorted(names)
-
-
-# -- the zero of the gas pressure ---------------------------------------------------------------
-
-
-def test_recording_is_zeroed_by_default(small_sensor, small_sensor_file, tmp_path):
-    """A recording of a day with 800 Pa less: `--no-zero-gas` believes it."""
-    source = press(small_sensor, 200)
-    frames = [source[k] for k in (*range(20), *range(80, 90))]
-    lower = (replace(each, gas_pressure_pa=each.gas_pressure_pa - 800.0) for each in frames)
-    path = record(tmp_path / "rec.mcap", lower)
-    with pytest.raises(InputError, match="no frame looks like the membrane"):
-        bv.estimate(bv.open(path), small_sensor_file, zero_gas=False)
-    run = bv.estimate(bv.open(path, "18:"), small_sensor_file, out=tmp_path / "zeroed.npz")
-    assert run.facts()["status"] == {"no_contact": 2, "ok": 10}
-    assert run.context["gas_zero"] == "gas pressure zero: -800 Pa from 15 contact-free frames"
-    assert run.context["gas_zero"] in run.to_text()
-    with np.load(tmp_path / "zeroed.npz") as arrays:
-        assert float(arrays["gas_pressure_offset_pa"]) == pytest.approx(-800.0, abs=1.0)
-
-
-def test_recording_without_gas_pressure_has_no_zero(small_sensor_file, small_sensor, tmp_path):
-    source = press(small_sensor, 200)
-    frames = (replace(source[k], gas_pressure_pa=None) for k in range(3))
-    path = record(tmp_path / "none.mcap", frames)
-    run = bv.estimate(bv.open(path), small_sensor_file, out=tmp_path / "none.npz")
-    assert run.context["gas_zero"] is None
-    with np.load(tmp_path / "none.npz") as arrays:
-        assert "gas_pressure_offset_pa" not in arrays
 
 
 @pytest.mark.parametrize(
