@@ -10,7 +10,7 @@ import tomli_w
 from small_press import record as record_frames, small_source
 
 from bubbleviz.recordings import Frame, Recording
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor, sensor_to_toml
+from bubbleviz.sensor import changed, load_sensor, sensor_to_toml
 from tests.program import COMMAND, refusal, run
 from tests.recordings.bagmaker import START, BagMaker, depth_image
 
@@ -26,16 +26,9 @@ COMMANDS = {
 
 def toml(**changes):
     """Sensor file of a small dome; `section__key=value` changes a value of a valid sensor."""
-    sensor = Sensor(
-        name="small",
-        membrane=Membrane(rim_radius_m=0.075, height_m=0.05, nodes=60),
-        pneumatics=Pneumatics(gauge_pressure_pa=2585.5, chamber_volume_m3=2.2e-3),
-        camera=Camera(
-            width=SIZE[0], height=SIZE[1], fx=18.0, fy=18.0, cx=15.5, cy=11.5,
-            position_m=(0.0, 0.0, -0.104),
-        ),
-    )  # fmt: skip
-    text = sensor_to_toml(sensor)
+    camera = {"width": SIZE[0], "height": SIZE[1], "fx": 18.0, "fy": 18.0, "cx": 15.5, "cy": 11.5}
+    preset = load_sensor("pico_flexx_75mm")
+    text = sensor_to_toml(changed(preset, membrane={"nodes": 60}, camera=camera))
     for old, new in changes.get("replace", {}).items():
         assert old in text, "the test changes nothing"
         text = text.replace(old, new)

@@ -50,21 +50,6 @@ def test_pose_command_has_the_name_of_the_api_function_as_alias():
     assert command("track") is command("pose")
 
 
-def test_millimetres_and_degrees_are_taken_as_before(sensor, tmp_path):
-    words = ("simulate", "--sensor", sensor, "--object", "sphere", "--pose", "0 0 0.045 0 0 0 1",
-             "--frames", 10)  # fmt: skip
-    paths = []
-    for k, moved in enumerate((("--drag", 3, "--twist", 90),
-                               ("--drag-m", 0.003, "--twist-rad", np.pi / 2))):  # fmt: skip
-        out, truth = tmp_path / f"{k}.mcap", tmp_path / f"{k}.npz"
-        output_of(*words, *moved, "--out", out, "--truth", truth)
-        with np.load(truth) as file:
-            paths.append(file["T_B_O"])
-    np.testing.assert_allclose(paths[0], paths[1])
-    assert paths[0][-1, 0, 3] == pytest.approx(0.003)
-    assert paths[0][-1, 1, 0] == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize(
     ("words", "out"),
     [

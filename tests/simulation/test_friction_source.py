@@ -101,6 +101,7 @@ def test_zero_friction_equals_the_frictionless_simulation(sensor):
 
 
 def test_recording_and_ground_truth_of_the_command(sensor, dragged, tmp_path):
+    """By the former options in millimetres and degrees."""
     file = tmp_path / "sensor.toml"
     file.write_text(sensor_to_toml(sensor))
     rec, truth = tmp_path / "drag.mcap", tmp_path / "drag.npz"

@@ -10,7 +10,7 @@ from bubbleviz.api.simulating import Simulation
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor import changed, load_sensor
 from bubbleviz.simulation import (
     DepthNoise,
     HasTruth,
@@ -27,14 +27,8 @@ FRAMES = 3
 
 @pytest.fixture(scope="module")
 def source():
-    sensor = Sensor(
-        name="dome",
-        membrane=Membrane(rim_radius_m=0.075, height_m=0.050, nodes=200),
-        pneumatics=Pneumatics(gauge_pressure_pa=2585.5, chamber_volume_m3=2.2e-3),
-        camera=Camera(
-            width=40, height=30, fx=23.0, fy=19.0, cx=19.5, cy=14.5, position_m=(0.0, 0.0, -0.104)
-        ),
-    )
+    camera = {"width": 40, "height": 30, "fx": 23.0, "fy": 19.0, "cx": 19.5, "cy": 14.5}
+    sensor = changed(load_sensor("pico_flexx_75mm"), membrane={"nodes": 200}, camera=camera)
     poses = np.repeat(np.eye(4)[None], FRAMES, axis=0)
     poses[:, 2, 3] = (0.06, 0.045, 0.040)
     return SyntheticSource(sensor, load_object("cylinder"), poses, DepthNoise(), nodes=400)
