@@ -144,12 +144,6 @@ def test_paraview_series(folder, estimated):
         assert mesh.field_data["TimeValue"][0] == estimated["time_s"][k]
 
 
-def test_the_index_of_a_series_names_its_files(folder):
-    listed = list(ElementTree.parse(folder / "all.of it.pvd").getroot().iter("DataSet"))
-    files = sorted(path.name for path in folder.glob("*.vtp"))
-    assert [each.get("file") for each in listed] == files and files
-
-
 def test_ply_of_the_membrane(folder, estimated):
     import open3d
 
