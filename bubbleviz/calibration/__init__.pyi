@@ -11,16 +11,9 @@ from .identification import (
     open_chamber as open_chamber,
     rest_gauge as rest_gauge,
 )
-from .material import (
-    collect_press as collect_press,
-    press_hold_frames as press_hold_frames,
-    with_rubber as with_rubber,
-)
-from .pictures import (
+from .report import (
     before_after as before_after,
     local_tension_image as local_tension_image,
-)
-from .report import (
     output_files as output_files,
     summary as summary,
     write_sensor as write_sensor,
@@ -30,9 +23,12 @@ from .rest_frames import (
     as_ranges as as_ranges,
     collect as collect,
     frame_numbers as frame_numbers,
-)
-from .segmentation import (
     rim_height as rim_height,
+)
+from .rubber_problem import (
+    collect_press as collect_press,
+    press_hold_frames as press_hold_frames,
+    with_rubber as with_rubber,
 )
 from .sensor_check import (
     CheckRow as CheckRow,
@@ -45,10 +41,8 @@ from .sensor_comparison import (
 )
 from .surface import (
     SURFACE_NAMES as SURFACE_NAMES,
-    SurfaceName as SurfaceName,
-)
-from .tension import (
     Quantity as Quantity,
+    SurfaceName as SurfaceName,
 )
 from .validation import (
     Validation as Validation,

@@ -7,8 +7,7 @@ from scipy import ndimage
 
 from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_sphere
-from bubbleviz.calibration.rest_frames import FrameSamples
-from bubbleviz.calibration.segmentation import away_from_edges
+from bubbleviz.calibration.rest_frames import FrameSamples, away_from_edges
 from bubbleviz.camera import MAD, DepthCamera, median
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -132,7 +131,6 @@ def _closed(region: np.ndarray) -> np.ndarray:
 
 
 _MAX_FITTED_PIXELS = 5_000  # in each frame: noise of 0.1 mm then moves a sphere by some 4 µm
-_MAX_ITERATIONS, _TOLERANCE_M = 5, 1e-9  # of the robust fit of the motion
 _NOISE_LIMIT = 4.0  # standard deviations that noise does not exceed in some hundred frames
 _MAX_MOTION = 5e-3  # of the dome's radius, which is the relative error that it causes in γ0
 
@@ -161,14 +159,8 @@ def check_motion(samples: FrameSamples) -> float:
     solve = -np.linalg.pinv(J)
     depth = samples.depth_m.reshape(len(samples.depth_m), -1)[:, known]
     change = np.nan_to_num((depth * to_range - ranges) * facing).astype(np.float32)
-    moved = np.zeros((len(change), 3), np.float32)
-    for _ in range(_MAX_ITERATIONS):
-        residual = change + moved @ J.T
-        limit = np.float32(_NOISE_LIMIT / MAD) * median(np.abs(residual))[:, None]
-        step = np.clip(residual, -limit, limit) @ solve.T
-        moved = moved + step
-        if np.abs(step).max() < _TOLERANCE_M:
-            break
+    limit = np.float32(_NOISE_LIMIT / MAD) * median(np.abs(change))[:, None]
+    moved = np.clip(change, -limit, limit) @ solve.T
     residual = np.clip(change + moved @ J.T, -limit, limit)
     side = tile_side(len(known), statistics.correlation_length_px)
     tile = tile_numbers(known, camera.intrinsics.width, max(side, 8))

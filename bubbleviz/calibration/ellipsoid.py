@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, mesh_cap
-from bubbleviz.recordings import robust_sigma, tukey_loss, tukey_slopes, tukey_weights
+from bubbleviz.recordings import robust_sigma, tukey_weights
 
-Loss = Callable[[np.ndarray], np.ndarray]
+_LARGEST_STEP = 0.1  # of the smallest semi-axis: farther away the linearisation is of no use
+Weights = Callable[[np.ndarray, float], np.ndarray]
+"""Of residuals and their standard deviation."""
 
 _FINE_NODES = 2_000  # of a mesh to integrate over: edges of some 2 mm
 _COARSE_POINTS = 5_000  # for all fits but the last, which uses every point
-_NEWTON_STEPS, _NEWTON_TOLERANCE = 10, 1e-2  # the latter over σ: its square is left
-_LOSS_TOLERANCE = 1e-6  # relative; far below the noise of 10⁴ points
+_STEPS, _TOLERANCE = 30, 1e-3  # the latter over σ, a tenth of the noise of 10⁴ points' mean
 
 
 @dataclass(frozen=True)
@@ -115,58 +115,39 @@ def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellips
 
 
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Robust least squares: Cauchy loss first, then Tukey loss from the surface it found."""
+    """Robust least squares: Cauchy's weights first, then Tukey's, on all points at the end."""
     few = _subsample(points)
-    for loss in ("cauchy", tukey_loss):
-        surface = _minimise(few, surface, loss, sphere=sphere)
-    if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
-        raise InputError(
-            "contact-free depth: too flat, no dome fits; inflate the membrane, or choose frames in "
-            "which nothing touches it"
-        )
-    return _refined(points, surface, sphere=sphere)
+    for some, weigh in ((few, _cauchy_weights), (few, tukey_weights), (points, tukey_weights)):
+        surface = _reweighted(some, surface, weigh, sphere=sphere)
+        if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
+            raise InputError(
+                "contact-free depth: too flat, no dome fits; inflate the membrane, or choose frames"
+                " in which nothing touches it"
+            )
+    return surface
 
 
-def _refined(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Minimum of Tukey's loss over many points, by Newton's method from close to it.
-
-    Half of the points are within 0.7 σ, where the loss is convex.
-    """
+def _reweighted(
+    points: np.ndarray, surface: Ellipsoid, weigh: Weights, *, sphere: bool
+) -> Ellipsoid:
+    """Iteratively reweighted least squares at the spread of the distances from the start."""
     distance = surface.distance(points)
     sigma = max(robust_sigma(distance, center=0.0), 1e-9)
-    for _ in range(_NEWTON_STEPS):
-        J = surface.derivatives(points, sphere=sphere)
-        gradient = J.T @ (tukey_weights(distance, sigma) * distance)
+    for _ in range(_STEPS):
+        J, weights = surface.derivatives(points, sphere=sphere), weigh(distance, sigma)
         # by the pseudo-inverse, as a part of a dome may leave a semi-axis open
-        step = -np.linalg.lstsq(J.T * tukey_slopes(distance, sigma) @ J, gradient, rcond=None)[0]
-        surface = surface.moved(step)
-        if np.abs(J @ step).max() < _NEWTON_TOLERANCE * sigma:
+        normal, gradient = J.T * weights @ J, J.T @ (weights * distance)
+        step = -np.linalg.lstsq(normal, gradient, rcond=None)[0]
+        cut = _LARGEST_STEP * surface.semi_axes_m.min() / max(np.abs(step).max(), 1e-300)
+        surface = surface.moved(min(1.0, cut) * step)
+        if np.abs(J @ step).max() < _TOLERANCE * sigma:
             break
         distance = surface.distance(points)
     return surface
 
 
-def _minimise(
-    points: np.ndarray, start: Ellipsoid, loss: Literal["cauchy"] | Loss, *, sphere: bool
-) -> Ellipsoid:
-    """Minimum of a loss scaled by the spread of the distances from the initial surface."""
-    from scipy.optimize import least_squares  # 0.1 s: not at the window's start
-
-    sigma = max(robust_sigma(start.distance(points), center=0.0), 1e-9)
-    count = 4 if sphere else 6
-
-    def distances(step: np.ndarray) -> np.ndarray:
-        return start.moved(step).distance(points) / sigma
-
-    def slopes(step: np.ndarray) -> np.ndarray:
-        return start.moved(step).derivatives(points, sphere=sphere) / sigma
-
-    scale = np.full(count, start.semi_axes_m.max())
-    step = least_squares(
-        distances, np.zeros(count), slopes, x_scale=scale, ftol=_LOSS_TOLERANCE,
-        loss=loss,  # type: ignore[arg-type]  # the stub's protocol names its argument
-    ).x  # fmt: skip
-    return start.moved(step)
+def _cauchy_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
+    return 1.0 / (1.0 + (residuals / sigma) ** 2)
 
 
 def _finite_points(points: np.ndarray) -> np.ndarray:

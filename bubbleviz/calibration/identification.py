@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from bubbleviz.calibration.rest_frames import FrameSamples, Ranges
-from bubbleviz.calibration.surface import NOT_YET, SurfaceName, Surfaces
-from bubbleviz.calibration.tension import Quantity
+from bubbleviz.calibration.surface import NOT_YET, Quantity, SurfaceName, Surfaces
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh

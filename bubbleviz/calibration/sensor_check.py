@@ -141,7 +141,7 @@ def check_sensor(
     if camera.todo:
         return replace(found, verdict="another", reason=_another_camera(model, camera))
     turned = [replace(frame, depth_m=frame.depth_m[::-1, ::-1]) for frame in frames]
-    if not rest.explained and _RestComparison(model, turned).explained:
+    if rest.shape.todo and not _RestComparison(model, turned).shape.todo:
         reason = (
             "another camera, or mounted the other way: the images are turned by 180°; turn the "
             "camera back, or identify the sensor again"
@@ -153,7 +153,7 @@ def check_sensor(
             "no contact-free frames: a contact explains these frames better than a drift does; "
             "record the sensor untouched, or choose contact-free frames"
         )
-    if not rest.explained:
+    if rest.shape.todo:
         reason = "another membrane or camera, or the camera moved: identify the sensor again"
         return replace(found, verdict="another", reason=reason)
     causes = [row for row in rows if row.todo]
@@ -243,19 +243,12 @@ class _RestComparison:
         return float(np.mean(self.mean_m**2 / self.mean_variance_m2))
 
     @cached_property
-    def left_m2(self) -> np.ndarray:
-        """Squares of the mean residual (B,) without the causes, m²."""
-        return self._without(self.causes) ** 2
-
-    @property
-    def explained(self) -> bool:
-        """Whether the residual without the causes is within the noise of one frame."""
-        return bool(np.mean(self.left_m2 / self.frame_variance_m2) <= self.chi2_limit)
-
-    @property
-    def shape_m(self) -> float:
-        """Rms over the blocks of the residual without the causes, m."""
-        return float(np.sqrt(np.average(self.left_m2, weights=1.0 / self.frame_variance_m2)))
+    def shape(self) -> CheckRow:
+        """Residual without the causes, which explain the change if it is the noise of one frame."""
+        square = np.average(self._without(self.causes) ** 2, weights=1.0 / self.frame_variance_m2)
+        rms_m, limit_m = float(np.sqrt(square)), self._detectable(1.0, self.frame_variance_m2)
+        todo = "identify the sensor again" if rms_m > limit_m else ""
+        return CheckRow("rest shape, rms", "mm", 1e3, rms_m, None, limit_m, todo)
 
     @cached_property
     def _by_gas(self) -> tuple[np.ndarray, np.ndarray]:
@@ -385,14 +378,11 @@ class _RestComparison:
         rows, together = [], self.causes if len(self.causes) < 2 else range(len(_CAUSES))
         for k, (name, unit) in enumerate(zip(_CAUSES, _UNITS, strict=True)):
             size, half = self._size((*(each for each in together if each != k), k))
-            remedy = _REMEDY[k == _GAS] if k in self.causes and self.explained else ""
+            remedy = _REMEDY[k == _GAS] if k in self.causes and not self.shape.todo else ""
             rows.append(CheckRow(name, *unit, size, half, self._limit(k), remedy))
         if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown
             rows[_GAS] = replace(rows[_GAS], value=None, half_width=None, limit=None)
-        remedy = "" if self.explained else "identify the sensor again"
-        limit_m = self._detectable(1.0, self.frame_variance_m2)
-        rows.append(CheckRow("rest shape, rms", "mm", 1e3, self.shape_m, None, limit_m, remedy))
-        return rows
+        return [*rows, self.shape]
 
     def gas_rows(self, by_shape: CheckRow) -> list[CheckRow]:
         """Measured change of the gas pressure, which may be the weather's as well."""
@@ -425,7 +415,7 @@ def _contact_explains(pipeline: Pipeline, frame: Frame, rest: _RestComparison) -
     mean = model.biased_depth(model.view.rest_range) + rest.drift_m()
     frame = replace(frame, depth_m=mean.astype(np.float32), gas_pressure_pa=None)
     found = pipeline.estimate_once(frame)
-    return found.status == "ok" and found.residual_rms_m < rest.shape_m
+    return found.status == "ok" and found.residual_rms_m < (rest.shape.value or 0.0)
 
 
 def _force_error(pipeline: Pipeline, rest: _RestComparison) -> tuple[float | None, float | None]:

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.tension import Quantity
+from bubbleviz.calibration.surface import Quantity
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Calibration, Sensor
 from bubbleviz.sensor_model import SensorModel

@@ -6,8 +6,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from bubbleviz.calibration.identification import Identification
-from bubbleviz.calibration.surface import SURFACE_NAMES
-from bubbleviz.calibration.tension import Quantity
+from bubbleviz.calibration.surface import SURFACE_NAMES, Quantity
 
 Grade = Literal["good", "usable", "doubtful"]
 PressureText = Callable[[float], str]  # number and unit of a pressure in Pa

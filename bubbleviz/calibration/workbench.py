@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from bubbleviz.calibration.identification import Identification, open_chamber, rest_gauge
-from bubbleviz.calibration.material import collect_press, with_rubber
 from bubbleviz.calibration.rectification import rectify
 from bubbleviz.calibration.rest_frames import (
     FrameSamples,
@@ -29,8 +28,8 @@ from bubbleviz.calibration.rest_frames import (
     frame_numbers,
     select_pixels,
 )
-from bubbleviz.calibration.surface import fit_surfaces, segment_membrane
-from bubbleviz.calibration.tension import with_tension
+from bubbleviz.calibration.rubber_problem import collect_press, with_rubber
+from bubbleviz.calibration.surface import fit_surfaces, segment_membrane, with_tension
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, part_of, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource, Recording, find_contact_free
