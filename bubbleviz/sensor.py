@@ -39,6 +39,9 @@ Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
 MIN_NOISE = 1e-6
 """Smallest relative noise: 0.1 µm at 100 mm, a thousandth of what depth cameras resolve."""
 
+LARGEST_GRADIENT = 0.7  # of the stiffness along one axis: along both, it is positive everywhere
+Gradient = Annotated[float, Field(ge=-LARGEST_GRADIENT, le=LARGEST_GRADIENT)]
+
 Vector3 = tuple[float, float, float]
 
 
@@ -86,6 +89,9 @@ class Membrane(Section):
     sheet_share: float | None = Field(default=None, ge=0.0, le=1.0)
     """Share of an initially flat sheet in the stress that shape and pressure leave open, as on oval
     rims; absent: 0, the stress of a film."""
+    stiffness_gradient_x: Gradient | None = None
+    """Relative change of the rubber's stiffness from the middle to the rim along x; absent: 0."""
+    stiffness_gradient_y: Gradient | None = None
     nodes: int = Field(default=800, ge=30, le=100_000)
 
     @model_validator(mode="after")
@@ -191,7 +197,10 @@ class Calibration(Section):
     prestretch_interval: tuple[float, float] | None = None
     """95 % interval of λ, if measured."""
     prestretch_from: str | None = None  # source of λ
-    sheet_share_interval: tuple[float, float] | None = None  # 95 % interval
+    # 95 % intervals
+    sheet_share_interval: tuple[float, float] | None = None
+    stiffness_gradient_x_interval: tuple[float, float] | None = None
+    stiffness_gradient_y_interval: tuple[float, float] | None = None
     edited: tuple[str, ...] | None = None
     """Keys of values changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
@@ -248,6 +257,8 @@ MEASURED = {
     "pneumatics.gauge_pressure_pa": ("gauge_interval_pa", "gauge_from"),
     "membrane.prestretch": ("prestretch_interval", "prestretch_from"),
     "membrane.sheet_share": ("sheet_share_interval",),
+    "membrane.stiffness_gradient_x": ("stiffness_gradient_x_interval",),
+    "membrane.stiffness_gradient_y": ("stiffness_gradient_y_interval",),
 }
 """Keys of `Calibration` that describe a value, by the key of the value."""
 

@@ -12,7 +12,7 @@ from bubbleviz.calibration.rest_frames import FrameSamples, Ranges
 from bubbleviz.calibration.surface import NOT_YET, Quantity, SurfaceName, Surfaces
 from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import MembraneMesh
+from bubbleviz.membrane import RUBBER_PARAMETERS, MembraneMesh
 from bubbleviz.recordings import ContactFree, DepthStatistics, FrameSource, error_of_mean
 from bubbleviz.sensor import (
     ATMOSPHERES,
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from bubbleviz.calibration.validation import Validation
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
+RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}
 _FILE = "the sensor file"
 _UNCERTAIN_FILE = f"{_FILE}, which gives no gauge_sigma_pa"
 _VENT = "give the recording of the open chamber"
@@ -55,6 +56,9 @@ class Identification:
     prestretch: Quantity | None = None  # λ; None: not determined
     # share of an initially flat sheet in the stress that a rim leaves open; None: not determined
     sheet_share: Quantity | None = None
+    # relative change of the rubber's stiffness from the middle to the rim; None: not determined
+    stiffness_gradient_x: Quantity | None = None
+    stiffness_gradient_y: Quantity | None = None
     why_not: str = "neither levels nor a held press were used"  # to determine λ
     shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
     # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
@@ -132,11 +136,9 @@ class Identification:
         """
         statistics, surfaces = self.samples.statistics, self.surfaces
         pneumatics = self.given.pneumatics.model_copy(update=self._pressures())
-        rubber = self.given.membrane.model_dump(include={"prestretch", "sheet_share"})
+        rubber = self.given.membrane.model_dump(include=set(RUBBER_PARAMETERS))
         if self.prestretch is not None:
-            share = self.sheet_share
-            rubber["prestretch"] = round(self.prestretch.value, 4)
-            rubber["sheet_share"] = share and round(share.possible(most=1.0).value, 3)
+            rubber = {name: each and round(each.value, 4) for name, each in self.rubber.items()}
         update = {
             "membrane": _membrane_section(surfaces).model_copy(update=rubber),
             "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
@@ -149,6 +151,12 @@ class Identification:
     def model(self) -> SensorModel:
         """The identified sensor as it would be loaded from its files."""
         return SensorModel(self.sensor, DepthCamera.of(self.sensor.camera), self.mesh, self.pixels)
+
+    @property
+    def rubber(self) -> dict[str, Quantity | None]:
+        """Parameters of the rubber by their names in the sensor file, within their limits."""
+        every = {name: getattr(self, name) for name in RUBBER_PARAMETERS}
+        return {n: q and q.possible(*RUBBER_PARAMETERS[n]) for n, q in every.items()}
 
     @property
     def modelled_range_m(self) -> np.ndarray:

@@ -118,12 +118,10 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
-    if (stretch := found.prestretch) is not None:
-        known["prestretch_interval"] = round(stretch.low, 4), round(stretch.high, 4)
-        known["prestretch_from"] = stretch.source
-    if (share := found.sheet_share) is not None:
-        share = share.possible(most=1.0)
-        known["sheet_share_interval"] = round(share.low, 3), round(share.high, 3)
+    for name, of in found.rubber.items():
+        if of is not None:
+            known[f"{name}_interval"] = round(of.low, 4), round(of.high, 4)
+            known["prestretch_from"] = of.source
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
@@ -233,9 +231,8 @@ def _rubber(found: Identification) -> dict[str, Any]:
     fitted = np.isfinite(found.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
-        "prestretch": found.prestretch and asdict(found.prestretch),
+        **{name: each and asdict(each) for name, each in found.rubber.items()},
         "prestretch_from": found.prestretch and found.prestretch.source,
-        "sheet_share": found.sheet_share and asdict(found.sheet_share.possible(most=1.0)),
         "why_not_determined": found.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge.possible()),
         "gauge_from": found.gauge.source,

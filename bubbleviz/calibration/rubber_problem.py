@@ -2,12 +2,13 @@
 
 The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except for
 what an oval rim leaves open: the stress lies between that of a film and that of an initially flat
-sheet, at a share from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber. When the gas pressure
-changes by a measured Δp, the shape depends on q, on (G + Δp)/G, on that share, and in a press on
-the contact pressures. The unknowns are q, G, the share, the contact pressures of the nodes in the
-dent (an inflation level has none), and the errors of the gas pressures. The residuals are the
-changes of range from rest, in which fixed errors of camera and mesh cancel, the difference from the
-G of the sensor file or open chamber, that of the share from its middle, and the pressure errors,
+sheet, at a share from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose stiffness μh may
+change linearly with x and y. When the gas pressure changes by a measured Δp, the shape depends on
+q, on (G + Δp)/G, on that share and gradient, and in a press on the contact pressures. The unknowns
+are q, G, the share, the gradient, the contact pressures of the nodes in the dent (an inflation
+level has none), and the errors of the gas pressures. The residuals are the changes of range from
+rest, in which fixed errors of camera and mesh cancel, the difference from the G of the sensor file
+or open chamber, those of the share and the gradient from what is likely, and the pressure errors,
 each over its standard deviation.
 
 The noise of a hundred thousand pixels averages out, and would outweigh the prior knowledge, but
@@ -43,6 +44,7 @@ from bubbleviz.membrane import (
     RubberMembrane,
     cotangent_laplacian,
     mean_curvature,
+    place_over_rim,
     prestressed,
     settled,
 )
@@ -61,7 +63,7 @@ from bubbleviz.recordings import (
     tukey_weights,
 )
 from bubbleviz.result import HALF_95
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import LARGEST_GRADIENT, Sensor
 
 SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which differs little from constant tension, to 1.005."""
@@ -71,8 +73,13 @@ tension, as it may where the gauge pressure is far too low."""
 _MIN_GAUGE = 0.1  # over the initial gauge pressure
 _SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 """Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
-_MATERIAL = 3  # unknowns before the contact pressures: q, G over the initial one, share
-_STEP = 1e-3  # of q, relative, and of the share, for derivatives of the forces
+_GRADIENT_SIGMA = 0.1
+"""Standard deviation of the relative change of stiffness from the middle to the rim: a thickness of
+1 mm has a tolerance of ±0.1 to ±0.2 mm (ISO 3302-1), the larger taken as the 95 % interval."""
+_RUBBER, _MATERIAL = [0, 2, 3, 4], 5
+"""Places of q, share and gradient, and number of unknowns before the contact pressures, of which
+the second is G over the initial one."""
+_STEP = 1e-3  # of q, relative, of the share and of the gradient, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
 PRESSURE_ERROR = 0.01
 """Standard deviation of gas pressure differences between recordings, over their largest gauge
@@ -94,8 +101,8 @@ contact to some hundred nodes of up to a few gauge pressures, is then taken whol
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
 T = TypeVar("T")
-Rubber = Callable[[float, float], RubberMembrane]
-"""The membrane as a function of q and of the share, under a gauge pressure of 1 Pa."""
+Rubber = Callable[[float, float, float, float], RubberMembrane]
+"""The membrane as a function of q, share and gradient, under a gauge pressure of 1 Pa."""
 
 
 def _rest_rubber(
@@ -105,10 +112,11 @@ def _rest_rubber(
     film: np.ndarray,
     open_stress: np.ndarray,
 ) -> Rubber:
-    tension = 1.0 / mean_curvature(mesh)  # γ0, m
+    tension, place = 1.0 / mean_curvature(mesh), place_over_rim(mesh)  # γ0, m
 
-    def rubber(q: float, share: float) -> RubberMembrane:
-        return prestressed(mesh, 1.0, tension / (1.0 - q), film + share * open_stress, slack_m)
+    def rubber(q: float, share: float, *gradient: float) -> RubberMembrane:
+        mu_h = tension / (1.0 - q) * (1.0 + place @ gradient)
+        return prestressed(mesh, 1.0, mu_h, film + share * open_stress, slack_m)
 
     return rubber
 
@@ -123,7 +131,9 @@ Shape = tuple[ShapeRanges, Factor]
 
 
 class RubberProblem:
-    """Least squares in q, G over the initial one, share, contact pressures over G, pressure errors.
+    """Least squares in q, G, share, gradient, contact pressures, and errors of gas pressures.
+
+    G is over the initial one, contact pressures over G.
 
     The latter are the errors of the gas pressures of rest and shapes, in standard deviations.
 
@@ -150,7 +160,7 @@ class RubberProblem:
         film, sheet = _film_stress(mesh), self._surfaces.flat_sheet
         self._open_stress = np.zeros_like(film) if sheet is None else sheet[0].on(mesh) - film
         rubber = _rest_rubber(mesh, self._slack_m, film, self._open_stress)
-        self._rubber = lru_cache(maxsize=3)(rubber)
+        self._rubber = lru_cache(maxsize=1 + len(_RUBBER))(rubber)
         self._shapes, self._pressed = shapes, pressed
         pressures = np.array([_mean_pressure(each) for each in (rest, *shapes)])
         self.rises_pa = tuple((pressures[1:, 0] - pressures[0, 0]).tolist())
@@ -182,7 +192,7 @@ class RubberProblem:
                 root = np.linalg.cholesky(laplacian[zone][:, zone].toarray()).T
                 self._smooth[place.start - _MATERIAL :][: len(zone), place] = root / PRESSURE_SCALE
         self._start_from_rest()
-        tangent = self._rubber(_INITIAL_Q[0], _SHARE).tangent(mesh.nodes, 1.0)
+        tangent = self._rubber(_INITIAL_Q[0], _SHARE, 0.0, 0.0).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
         # shapes, None where the rubber has no equilibrium, and slopes of the last vector
         self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
@@ -199,7 +209,7 @@ class RubberProblem:
     # -- model ----------------------------------------------------------------------------------
 
     def _solved(self, vector: np.ndarray) -> list[Shape] | None:
-        found = self._predicted(vector, self._rubber(*vector[[0, 2]].tolist()))
+        found = self._predicted(vector, self._rubber(*vector[_RUBBER].tolist()))
         if found is not None:
             self._initial = found
         return found
@@ -242,14 +252,12 @@ class RubberProblem:
 
     def _differentiated(self, vector: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the changes by the unknowns (S·B, N), and by the stress at rest (S·B,)."""
-        found, (q, _, share) = self._shapes_at(vector), vector[:_MATERIAL].tolist()
+        found, values = self._shapes_at(vector), vector[_RUBBER]
         assert found is not None
-        rubber = self._rubber(q, share)
-        # after a step of each, and the step
-        stepped = (
-            (self._rubber(q + _STEP * q, share), _STEP * q),
-            (self._rubber(q, share + _STEP), _STEP),
-        )
+        rubber = self._rubber(*values.tolist())
+        steps = _STEP * np.where(np.arange(len(values)) == 0, values, 1.0)
+        stepped = [self._rubber(*(values + step).tolist()) for step in np.diag(steps)]
+        last = 1 + len(stepped)  # column by the pressure, before those by the contact pressures
         rest_force, slopes, by_stress = rubber.force(rubber.mesh.nodes), [], []
         gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
         error, moving = np.arange(self._size)[self._errors], rubber.moving
@@ -259,21 +267,22 @@ class RubberProblem:
             x = view.nodes_m
             area = rubber.volume_gradient(x)
             residual = rubber.residual(x, pressure)
-            forces = np.zeros((*x.shape, 4 + len(zone)))
+            forces = np.zeros((*x.shape, last + 1 + len(zone)))
             forces[..., 0] = rest_force - rubber.force(x)
-            for j, (other, step) in enumerate(stepped, start=1):
+            for j, (other, step) in enumerate(zip(stepped, steps, strict=True), start=1):
                 forces[..., j] = (residual - other.residual(x, pressure)) / step
-            forces[..., 3] = area / gauge_pa
-            forces[zone, :, 4 + np.arange(len(zone))] = -area[zone]
+            forces[..., last] = area / gauge_pa
+            forces[zone, :, last + 1 + np.arange(len(zone))] = -area[zone]
             motions = np.zeros_like(forces)
             right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
             motions[moving] = factor.solve(right).reshape(len(moving), 3, -1)
             rows = np.zeros((self._observer.blocks, motions.shape[2]))
             rows[view.block] = view.jacobian @ motions.reshape(3 * len(x), -1)
             of_shape = np.zeros((len(rows), self._size))
-            by_rise = rows[:, 3]  # per pascal
-            of_shape[:, [0, 2]], of_shape[:, 1] = rows[:, 1:3], -rises_pa[k] / vector[1] * by_rise
-            of_shape[:, place] = rows[:, 4:]
+            by_rise = rows[:, last]  # per pascal
+            of_shape[:, _RUBBER] = rows[:, 1:last]
+            of_shape[:, 1] = -rises_pa[k] / vector[1] * by_rise
+            of_shape[:, place] = rows[:, last + 1 :]
             of_shape[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
             of_shape[:, error[1 + k]] = self._pressure_sigma_pa[1 + k] * by_rise
             slopes.append(of_shape)
@@ -292,8 +301,8 @@ class RubberProblem:
     def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Least squares over the shapes alone, and with a prior of relative σ on G.
 
-        Returns q, G over the initial one and share of both, (2, 3), their covariances with model
-        errors, (2, 3, 3), and the robust rms of the residuals of the second, m.
+        Returns q, G over the initial one, share and gradient of both, (2, 5), their covariances
+        with model errors, (2, 5, 5), and the robust rms of the residuals of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
         alone, others_m, temper = self._alone()
@@ -309,7 +318,7 @@ class RubberProblem:
         found: tuple[np.ndarray, list[np.ndarray], float] | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
-            start[:_MATERIAL] = q, 1.0, _SHARE
+            start[:3] = q, 1.0, _SHARE
             self._start_from_rest()
             if self._shapes_at(start) is None:
                 continue
@@ -329,11 +338,13 @@ class RubberProblem:
         )
 
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and right sides of the priors on G, the share, and errors of the gas pressures."""
-        rows = np.zeros((2 + len(self._pressure_sigma_pa), self._size))
-        rows[0, 1], rows[1, 2] = 1.0 / gauge_sigma, 1.0 / SHARE_SIGMA
-        rows[2:, self._errors] = np.eye(len(rows) - 2)
-        return rows, rows[:, 1] + _SHARE * rows[:, 2]
+        """Rows and right sides of the priors on G, share, gradient, and errors of gas pressures."""
+        sigma, mean = np.ones(self._size), np.zeros(self._size)
+        sigma[1:_MATERIAL] = gauge_sigma, SHARE_SIGMA, _GRADIENT_SIGMA, _GRADIENT_SIGMA
+        mean[1:3] = 1.0, _SHARE
+        known = [*range(1, _MATERIAL), *range(self._size)[self._errors]]
+        rows = np.diag(1.0 / sigma)[known]
+        return rows, rows @ mean
 
     def _scale(self, vector: np.ndarray) -> float:
         return max(robust_sigma(self._residuals(vector) * self._root, center=0.0), 1e-9)
@@ -376,10 +387,11 @@ class RubberProblem:
 
         low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
         low[:2], high[0] = (SMALLEST_Q, np.log(_MIN_GAUGE)), LARGEST_Q
+        low[3:_MATERIAL], high[3:_MATERIAL] = -LARGEST_GRADIENT, LARGEST_GRADIENT
         start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
-        x_scale[:_MATERIAL] = 0.1, 0.1, SHARE_SIGMA
+        x_scale[:_MATERIAL] = 0.1, 0.1, SHARE_SIGMA, _GRADIENT_SIGMA, _GRADIENT_SIGMA
         x_scale[_MATERIAL : self._errors.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
@@ -396,7 +408,7 @@ class RubberProblem:
         gauge_sigma: float,
         temper: float,
     ) -> tuple[np.ndarray, float]:
-        """Of q, G and share, with the variance of G by the shapes over that by white noise."""
+        """Of the material, with the variance of G by the shapes over that by white noise."""
         (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector).ravel()
         root, change_m = self._root.ravel() / self._scale(vector), self._change_m.ravel()
         root, z = np.nan_to_num(root), residuals * root
@@ -408,21 +420,21 @@ class RubberProblem:
         prior = smooth + priors.T @ priors
 
         def step(weight: np.ndarray) -> np.ndarray:
-            """Step of q, G and share under other weights of the range residuals."""
+            """Step of the material under other weights of the range residuals."""
             right = rows.T @ (weight * z_known) - prior @ vector + priors.T @ prior_values
             normal = rows.T @ (weight[:, None] * rows) + prior
             return np.linalg.solve(normal, right)[:_MATERIAL]
 
         by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
         inverse = np.linalg.inv(by_data + priors.T @ priors)[:_MATERIAL]
-        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 3)
+        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 5)
         known = np.nan_to_num(residuals)
-        errors = [  # (3,) each, of q, G and share, by one source of error
+        errors = [  # (5,) each, of the material, by one source of error
             (self._mesh.edge_length * 0.5 * mean_curvature(self._mesh)) ** 2
             * (influence.T @ (change_m - known)),
             -self._stress_sigma * (influence.T @ by_stress),
             # shapes determine μh, so an error of γ0 = (1 − q) μh is one of q
-            np.array([(1.0 - vector[0]) * self._stress_sigma, 0.0, 0.0]),
+            (1.0 - vector[0]) * self._stress_sigma * np.eye(_MATERIAL)[0],
             *(influence.T @ other for other in others_m),
         ]
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
@@ -452,7 +464,7 @@ class RubberProblem:
         rubber = partial(_rest_rubber, slack_m=self._slack_m, open_stress=self._open_stress)
         modelled_m = self._change_m - self._residuals(vector)
         found = (
-            (self._predicted(vector, of_film(*vector[[0, 2]].tolist())), at_rest_m)
+            (self._predicted(vector, of_film(*vector[_RUBBER].tolist())), at_rest_m)
             for of_film, at_rest_m in (
                 (rubber(mesh, film=_film_stress(mesh, STRESS_DEGREE - 2)), 0.0),
                 (rubber(other, film=_film_stress(other)), at_rest_m),
@@ -476,10 +488,10 @@ class RubberProblem:
 
     def _noise(
         self,
-        influence: np.ndarray,  # (S·B, 3), of every change of range
+        influence: np.ndarray,  # (S·B, 5), of every change of range
         residual_m: np.ndarray,  # (S·B,)
     ) -> np.ndarray:
-        """Covariance (3, 3) by the noise of all frames and the residuals of the model."""
+        """Covariance (5, 5) by the noise of all frames and the residuals of the model."""
         shapes = len(self._shapes)
         influences, residuals = np.split(influence, shapes), np.split(residual_m, shapes)
         influences.insert(0, -np.sum(influences, axis=0))
@@ -727,11 +739,20 @@ def _fitted(
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, high, low))
     stretch, share = Quantity(value, low, high, source), None
+    _, _, *others = zip(values[1].tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
+    of_share, along_x, along_y = (Quantity.normal(*each, source) for each in others)
     if found.surfaces.chosen != "sphere" and found.surfaces.flat_sheet is not None:
         # errors of the model may count more in it, but it lies between 0 and 1
-        sigma = min(float(np.sqrt(covariance[2, 2])), SHARE_SIGMA)
-        share = Quantity.normal(float(values[1, 2]), sigma, source)
-    return replace(known, prestretch=stretch, sheet_share=share, why_not="")
+        sigma = min(of_share.sigma, SHARE_SIGMA)
+        share = Quantity.normal(of_share.value, sigma, source)
+    return replace(
+        known,
+        prestretch=stretch,
+        sheet_share=share,
+        stiffness_gradient_x=along_x,
+        stiffness_gradient_y=along_y,
+        why_not="",
+    )
 
 
 def _sigma_of_mean(known: Identification, mean: Quantity) -> float:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
 from bubbleviz.calibration.surface import Quantity
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Calibration, Sensor
@@ -59,11 +59,11 @@ class SensorComparison:
         known = old.calibration or Calibration(pixels_file="")  # without intervals
         intervals: dict[str, tuple[Quantity | None, tuple[float, float] | None]] = {
             "γ0": (new.tension, known.tension_interval_n_per_m),
-            "λ": (new.prestretch, known.prestretch_interval),
-            "sheet share": (new.sheet_share, known.sheet_share_interval),
             "gauge pressure": (new.gauge, known.gauge_interval_pa),
             "height": (new.surfaces.dimensions["height_m"], None),
         }
+        for name, each in new.rubber.items():
+            intervals[RUBBER_NAMES[name]] = each, getattr(known, f"{name}_interval")
         half = {name: each.half_width for name, (each, _) in intervals.items() if each}
         old_half = {
             name: 0.5 * float(np.ptp(ends)) for name, (_, ends) in intervals.items() if ends
@@ -101,8 +101,7 @@ def _numbers(
     plain, biased = (_rms(measured_m - expected) for expected in _expected(model))
     return {
         ("γ0", "tension"): model.tension_n_per_m,
-        ("λ", "number"): sensor.membrane.prestretch,
-        ("sheet share", "number"): sensor.membrane.sheet_share,
+        **{(text, "number"): getattr(sensor.membrane, name) for name, text in RUBBER_NAMES.items()},
         ("gauge pressure", "pressure"): sensor.pneumatics.gauge_pressure_pa,
         ("height", "length"): float(mesh.nodes[:, 2].max()),
         ("rim radius along x", "length"): float(half_x),

@@ -272,15 +272,16 @@ class Quantity:
         """Standard deviation of a normal error with this interval."""
         return self.half_width / HALF_95
 
-    def possible(self, most: float = np.inf) -> Quantity:
-        """The same cut off at what is possible, from 0 to `most`, as shown and stored."""
-        value, low, high = (min(max(x, 0.0), most) for x in (self.value, self.low, self.high))
+    def possible(self, least: float = 0.0, most: float = np.inf) -> Quantity:
+        """The same cut off at what is possible, as shown and stored."""
+        value, low, high = (min(max(x, least), most) for x in (self.value, self.low, self.high))
         return Quantity(value, low, high, self.source)
 
     def texts(self, most: int) -> tuple[str, str, str]:
         """Value and ends with as many decimals as the interval justifies, `most` at most."""
-        decimals, cut = decimals_of(self.half_width, most), self.possible()
-        return rounded(cut.value, decimals), rounded(cut.low, decimals), rounded(cut.high, decimals)
+        decimals = decimals_of(self.half_width, most)
+        value, low, high = (rounded(x, decimals) for x in (self.value, self.low, self.high))
+        return value, low, high
 
     def times(self, factor: float) -> Quantity:
         """The same in units smaller by a factor, which is exact."""

@@ -56,9 +56,11 @@ from .prestress import (
     zernike as zernike,
 )
 from .reference_mesh import (
+    RUBBER_PARAMETERS as RUBBER_PARAMETERS,
     build_mesh as build_mesh,
     build_rubber as build_rubber,
     constant_tension_deviation as constant_tension_deviation,
+    place_over_rim as place_over_rim,
     reference_tension as reference_tension,
     rest_stress as rest_stress,
     varied_rubber as varied_rubber,

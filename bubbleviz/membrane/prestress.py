@@ -186,7 +186,7 @@ def prestressed(
     gauge_pressure_pa: float,
     # μh. Where the stress is more than rubber of it can carry, as noise of a surface may ask of
     # far-stretched rubber, it is larger.
-    mu_h_n_per_m: float,
+    mu_h_n_per_m: float | np.ndarray,
     # found from the mesh where not given: one of a coarser mesh saves time, and so do its values
     field: Prestress | np.ndarray | None = None,
     rim_slack_m: float | None = None,

@@ -13,8 +13,15 @@ from bubbleviz.membrane.meshing import EllipsoidalCap, load_membrane, mesh_cap, 
 from bubbleviz.membrane.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber import RubberMembrane, shear_stiffness
 from bubbleviz.membrane.stiffness import balance_tension
-from bubbleviz.sensor import Sensor, changed
+from bubbleviz.sensor import LARGEST_GRADIENT, Sensor, changed
 
+RUBBER_PARAMETERS = {
+    "prestretch": (1.0, np.inf),
+    "sheet_share": (0.0, 1.0),
+    "stiffness_gradient_x": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
+    "stiffness_gradient_y": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
+}
+"""Limits of the parameters of the rubber in the sensor file."""
 _CONSTANT_TENSION_ERROR = 0.07
 """Relative standard deviation of the stiffness of constant tension, as a model of rubber. For the
 true force of a ball and a puck, pressed 10 to 45 % of the height into inflated sheets and a dome of
@@ -96,15 +103,25 @@ def build_rubber(
 ) -> RubberMembrane:
     """Exact membrane of a sensor on a mesh of its reference surface.
 
-    Its stiffness is μh = γ0 / (1 − λ⁻⁶), its stress at rest balances the gauge pressure. A sensor
-    without pre-stretch has constant tension.
+    Its stiffness is μh = γ0 / (1 − λ⁻⁶) in the middle, its stress at rest balances the gauge
+    pressure. A sensor without pre-stretch has constant tension.
     """
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
     if prestretch is None:
         return RubberMembrane.uniform(mesh, gauge, tension_n_per_m, None, rim_slack_m)
-    mu_h = shear_stiffness(tension_n_per_m, prestretch)
+    mu_h: float | np.ndarray = shear_stiffness(tension_n_per_m, prestretch)
+    along_x, along_y = sensor.membrane.stiffness_gradient_x, sensor.membrane.stiffness_gradient_y
+    if along_x or along_y:
+        mu_h = mu_h * (1.0 + place_over_rim(mesh) @ (along_x or 0.0, along_y or 0.0))
     stress = rest_stress(sensor, mesh) if stress is None else stress
     return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)
+
+
+def place_over_rim(mesh: MembraneMesh) -> np.ndarray:
+    """Centres of the triangles along x and y over the extent of the rim, (m, 2): 1 at the rim."""
+    extent = np.abs(mesh.nodes[mesh.rim, :2]).max(axis=0)
+    centres: np.ndarray = mesh.nodes[mesh.triangles, :2].mean(axis=1) / extent
+    return centres
 
 
 def varied_rubber(
@@ -114,7 +131,7 @@ def varied_rubber(
     rim_slack_m: float | None = None,
     stress: Prestress | None = None,
 ) -> list[RubberMembrane]:
-    """Copies of the membrane, each with one of γ0, G, λ and share of stress raised by its σ.
+    """Copies of the membrane, each with one of its parameters raised by its σ.
 
     Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
     also by its standard deviation in the sensor file. Parameters as of `build_rubber`.
@@ -123,7 +140,7 @@ def varied_rubber(
     of its σ that the gauge pressure does not explain.
     """
     pneumatics, varied = sensor.pneumatics, []
-    tension, gauge, stretch, share = _deviations(sensor, tension_n_per_m)
+    tension, gauge = _deviations(sensor, tension_n_per_m)
     if tension:
         varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m, stress))
     if gauge:
@@ -132,12 +149,13 @@ def varied_rubber(
         factor = higher / pneumatics.gauge_pressure_pa
         raised = None if stress is None else stress.times(factor)
         varied.append(build_rubber(other, mesh, factor * tension_n_per_m, rim_slack_m, raised))
-    if stretch and sensor.membrane.prestretch is not None:
-        other = changed(sensor, membrane={"prestretch": sensor.membrane.prestretch + stretch})
-        varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, stress))
-    if share and sensor.membrane.sheet_share is not None:
-        other = changed(sensor, membrane={"sheet_share": sensor.membrane.sheet_share + share})
-        varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m))
+    for name, limits in RUBBER_PARAMETERS.items():
+        value = getattr(sensor.membrane, name)
+        interval = getattr(sensor.calibration, f"{name}_interval", None)
+        if sigma := _deviation(interval, value, *limits):
+            other = changed(sensor, membrane={name: value + sigma})
+            own = None if name == "sheet_share" else stress  # which changes the stress
+            varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, own))
     return varied
 
 
@@ -147,39 +165,39 @@ def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
     From the errors of γ0 and of the gauge pressure and, if the sensor is calibrated and thus
     rubber, from the difference between rubber and constant tension.
     """
-    tension, gauge, *_ = _deviations(sensor, tension_n_per_m)
+    tension, gauge = _deviations(sensor, tension_n_per_m)
     rubber = 0.0 if sensor.calibration is None else _CONSTANT_TENSION_ERROR
     by_gauge = gauge / sensor.pneumatics.gauge_pressure_pa
     return float(np.linalg.norm([tension / tension_n_per_m, by_gauge, rubber]))
 
 
-def _deviations(sensor: Sensor, tension_n_per_m: float) -> tuple[float, float, float, float]:
-    """Of γ0 at a known gauge pressure, of that, of λ and the share of stress; 0: not given."""
+def _deviations(sensor: Sensor, tension_n_per_m: float) -> tuple[float, float]:
+    """Of γ0 at a known gauge pressure, and of that; 0: not given."""
     known, pneumatics = sensor.calibration, sensor.pneumatics
-    gauge = tension = stretch = share = 0.0
+    gauge = tension = 0.0
     if known is not None:
         gauge = _deviation(known.gauge_interval_pa, pneumatics.gauge_pressure_pa)
         by_gauge = tension_n_per_m * gauge / pneumatics.gauge_pressure_pa
         whole = _deviation(known.tension_interval_n_per_m, tension_n_per_m)
         tension = float(np.sqrt(max(whole**2 - by_gauge**2, 0.0)))
-        stretch = _deviation(known.prestretch_interval, sensor.membrane.prestretch)
-        share = _deviation(known.sheet_share_interval, sensor.membrane.sheet_share, most=1.0)
     if pneumatics.gauge_sigma_pa is not None:
         gauge = pneumatics.gauge_sigma_pa
-    return tension, gauge, stretch, share
+    return tension, gauge
 
 
 def _deviation(
-    interval: tuple[float, float] | None, value: float | None, most: float = np.inf
+    interval: tuple[float, float] | None,
+    value: float | None,
+    least: float = 0.0,
+    most: float = np.inf,
 ) -> float:
     """Standard deviation by a value's 95 % interval; 0 where there is none.
 
-    An end at what is possible, 0 or `most`, is cut off, so only the other one counts; of an
+    An end at what is possible, `least` or `most`, is cut off, so only the other one counts; of an
     interval between both, the distribution is uniform.
     """
     if interval is None or value is None:
         return 0.0
-    sides = [value - interval[0]] * (interval[0] > 0.0) + [interval[1] - value] * (
-        interval[1] < most
-    )
-    return float(np.mean(sides)) / 1.96 if sides else most / float(np.sqrt(12.0))
+    low, high = interval
+    sides = [value - low] * (low > least) + [high - value] * (high < most)
+    return float(np.mean(sides)) / 1.96 if sides else (most - least) / float(np.sqrt(12.0))

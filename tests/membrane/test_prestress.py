@@ -160,6 +160,20 @@ def test_membrane_of_a_sensor():
     assert stretch == pytest.approx(1.2, abs=5e-3)
 
 
+def test_stiffness_gradient_of_a_sensor_changes_the_rubber_not_its_stress_at_rest(punyo):
+    sensor, mesh, tension = punyo
+    even = build_rubber(sensor, mesh, tension)
+    along_x = changed(sensor, membrane={"stiffness_gradient_x": 0.2})
+    rubber = build_rubber(along_x, mesh, tension)
+    assert rubber.force(mesh.nodes) == pytest.approx(even.force(mesh.nodes), abs=1e-12)
+    share = rubber.mu_h / even.mu_h
+    x, y = (mesh.nodes[mesh.triangles, k].mean(axis=1) for k in (0, 1))
+    left, right = x < 0.9 * x.min(), x > 0.9 * x.max()
+    assert share[left].max() < 0.85 and share[right].min() > 1.15
+    assert share[np.abs(x) < 1e-3] == pytest.approx(1.0, abs=5e-3)
+    assert np.corrcoef(share, y)[0, 1] == pytest.approx(0.0, abs=0.05)
+
+
 @pytest.fixture(scope="module")
 def oval_sheet():
     """A flat sheet that was stretched over an oval rim and inflated, and its sensor file."""
