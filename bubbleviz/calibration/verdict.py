@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
-from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
 from bubbleviz.calibration.surface import SURFACE_NAMES, Quantity
+from bubbleviz.wording import decimals_of
 
 Grade = Literal["good", "usable", "doubtful"]
 PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
@@ -35,8 +36,8 @@ _OF_TENSION = {
 
 
 def pascals(pressure_pa: float) -> str:
-    """Pressure as the command line prints it."""
-    return f"{pressure_pa:.0f} Pa"
+    """Pressure as the command line prints it, to 0.1 % or less."""
+    return f"{pressure_pa:.{max(decimals_of(0.01 * pressure_pa, 2), 0)}f} Pa"
 
 
 def grade(found: Identification) -> Grade:
@@ -51,7 +52,7 @@ def grade(found: Identification) -> Grade:
 def headline(found: Identification, pressure: PressureText = pascals) -> str:
     """The grade and γ0 in one line; `pressure` formats pressures."""
     tension = found.tension
-    value, low, high = tension.texts(2)
+    value, low, high = tension.possible().texts(2)
     return (
         f"{grade(found)}: γ0 = {value} N/m, 95 % interval {low} to {high} "
         f"({_percent(tension.half_width / tension.value)} either way), at "
@@ -139,13 +140,13 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 
 
 def parameters(found: Identification, pressure: PressureText = pascals) -> list[dict[str, str]]:
-    """What is determined by which data: γ0, gauge pressure, λ, and the stress of an oval rim.
+    """What is determined by which data: γ0, gauge pressure, and the parameters of the rubber.
 
     Each row has a `name`, the `value` with its 95 % interval, what it is `told_by`, or why it is
     not determined, and what makes the interval `narrower`.
     """
     vented = found.vented is not None
-    gauge, stretch, share = found.gauge, found.prestretch, found.sheet_share
+    gauge, stretch = found.gauge, found.prestretch
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
@@ -155,7 +156,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     cut = gauge.possible()
     pressures = tuple(map(pressure, (cut.value, cut.low, cut.high)))
     rows = [
-        ("γ0", _range(found.tension.texts(2), " N/m"), found.tension.source, of_tension),
+        ("γ0", _range(found.tension.possible().texts(2), " N/m"), found.tension.source, of_tension),
         ("gauge pressure", _range(pressures), gauge.source, chamber_text),
     ]
     if stretch is None:
@@ -164,10 +165,10 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     else:
         narrower = _FARTHER if vented else chamber
         rows.append(("λ", _range(stretch.texts(3)), stretch.source, narrower))
-    if share is not None:
-        narrower = _LEVELS if found.shapes_kind == "press" else _FARTHER
-        texts = share.possible(most=1.0).texts(2)
-        rows.append(("sheet share", _range(texts), share.source, narrower))
+    for name, each in list(found.rubber.items())[1:]:
+        if each is not None:
+            narrower = _LEVELS if found.shapes_kind == "press" else _FARTHER
+            rows.append((RUBBER_NAMES[name], _range(each.texts(2)), each.source, narrower))
     return [dict(zip(_COLUMNS, row, strict=True)) for row in rows]
 
 

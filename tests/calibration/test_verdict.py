@@ -134,6 +134,20 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
         assert said in tension["narrower"] and f"{ball.tension_n_per_m:.0f}" in tension["value"]
 
 
+def test_the_interval_of_a_low_gauge_pressure_shows_its_ends(ball):
+    low = replace(ball, gauge=Quantity.normal(105.0, 0.2))
+    assert parameters(low)[1]["value"] == "105.0 Pa, 95 % interval 104.6 Pa to 105.4 Pa"
+    usual = replace(ball, gauge=Quantity.normal(5257.4, 2.0))
+    assert parameters(usual)[1]["value"] == "5257 Pa, 95 % interval 5253 Pa to 5261 Pa"
+
+
+def test_stiffness_gradients_are_shown_with_their_sign(ball):
+    along_x = Quantity.normal(-0.12, 0.05, "levels")
+    row = parameters(replace(ball, stiffness_gradient_x=along_x))[-1]
+    assert row["name"] == "stiffness gradient x"
+    assert row["value"] == "-0.12, 95 % interval -0.22 to -0.02"
+
+
 @pytest.mark.parametrize(("kind", "narrower"), [("press", "two other inf"), ("levels", "farther")])
 def test_stress_that_an_oval_rim_leaves_open_has_a_row_where_it_is_known(ball, kind, narrower):
     """Its interval is shown between those of a film, 0, and of a flat sheet, 1."""
