@@ -41,12 +41,7 @@ def cluster_covariances(
     # flat indices (P,) of the pixels or blocks fitted, columns of the image, and side of one in
     # pixels
     layout: tuple[np.ndarray, int, int],
-    frames: np.ndarray,  # (F, N), depth or residual, m; NaN: no return
-    places: np.ndarray,  # (P,) int, their places in a frame
-    # mean_m, limit_m: (P,), their mean, and the distance from it beyond which samples are ignored
-    # (as in the mean), m
-    mean_m: np.ndarray,
-    limit_m: np.ndarray,
+    error_m: np.ndarray,  # (F, P), frames minus their mean, m; NaN: not in it
     influence: np.ndarray,  # (P, Q), derivative of each parameter by each mean, unit/m
     residual_m: np.ndarray,  # (P,), mean minus that of the fitted surface, m
     parameters: int,  # count of fitted parameters
@@ -57,12 +52,11 @@ def cluster_covariances(
     length = statistics.correlation_length_px / side
     tile = tile_numbers(pixels, columns, tile_side(len(pixels), length))
     tiles, (count, numbers) = int(tile.max()) + 1, influence.shape
-    static, moving = np.zeros((numbers, tiles)), np.zeros((numbers, tiles, len(frames)))
+    static, moving = np.zeros((numbers, tiles)), np.zeros((numbers, tiles, len(error_m)))
     for start in range(0, count, _PART):
         part = slice(start, start + _PART)
-        error = frames[:, places[part]] - mean_m[part]
-        kept = np.abs(error) <= limit_m[part]
-        error = np.where(kept, error, 0.0) / np.maximum(kept.sum(axis=0), 1)
+        kept = np.isfinite(error_m[:, part])
+        error = np.where(kept, error_m[:, part], 0.0) / np.maximum(kept.sum(axis=0), 1)
         first, stop = int(tile[part].min()), int(tile[part].max()) + 1
         own, at = slice(first, stop), (tile[part] - first, np.arange(error.shape[1]))
         for k in range(numbers):

@@ -90,9 +90,9 @@ temperature, so a press within it does not have this error."""
 _EDGE_OF_DENT = 0.25
 """Share of a dent's largest depth beyond which nodes may be in contact. A flat plate that covers a
 dome to 0.85 of its radius has its contact edge there; smaller or rounder objects have it deeper."""
-_RINGS, _SECTORS = 4, 8
-"""Parts of the view for the jackknife, each larger than the correlation length of model errors:
-rings of equal numbers of blocks from rim to top for a level, sectors around the dent of a press."""
+_RINGS = 4
+"""Parts of the view for the jackknife, from rim to top, each larger than the correlation length of
+model errors. What differs between left and right is an unknown of the fit."""
 _TOLERANCE = 3e-4  # relative change of the sum of squares that ends the fit, far below its noise
 _MAX_EVALUATIONS = 60
 _PRESSURE_STEP = 10.0
@@ -439,21 +439,14 @@ class RubberProblem:
         ]
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
-        for part in self._divisions:
-            found = jackknife_errors(lambda kept: step(weight * kept), part)
-            errors += list(found / np.sqrt(len(self._divisions)))
+        rings = np.tile(height_rings(self._observer), len(self._shapes))
+        errors += list(jackknife_errors(lambda kept: step(weight * kept), rings))
         # of the shapes with their model errors, for the tempering; then with the priors' errors
         covariance = self._noise(influence, known) + sum(np.outer(e, e) for e in errors)
         white = inverse[1] @ by_data @ inverse[1]
         temper = float(covariance[1, 1] / white)
         covariance = covariance + inverse @ priors.T @ priors @ inverse.T
         return covariance, temper
-
-    @cached_property
-    def _divisions(self) -> list[np.ndarray]:
-        """Part of the view of each block of all shapes, (S·B,) int, per division."""
-        divide = partial(_view_parts, self._observer, pressed=self._pressed)
-        return [np.concatenate(each) for each in zip(*map(divide, self._change_m), strict=True)]
 
     def _other_models(self, vector: np.ndarray) -> list[np.ndarray]:
         """Errors of the modelled changes, (S·B,), m, by a stress and a surface less well known."""
@@ -501,14 +494,12 @@ class RubberProblem:
             self._observed, influences, residuals, strict=True
         ):
             used = np.flatnonzero(own.any(axis=1))
+            ranges_m = every_m[:, used]
             total += sum(
                 cluster_covariances(
                     statistics,
                     (observer.block_number[used], observer.columns, observer.block),
-                    every_m,
-                    used,
-                    np.nan_to_num(np.nanmean(every_m[:, used], axis=0)),
-                    np.full(len(used), np.inf),
+                    ranges_m - np.nanmean(ranges_m, axis=0),
                     own[used],
                     residual[used],
                     _MATERIAL,
@@ -568,19 +559,6 @@ def _dent_nodes(
     adjacent = abs(laplacian) @ zone.astype(float) > 0.0
     hidden = total == 0.0
     return np.flatnonzero(zone | (adjacent & hidden & ~mesh.rim))
-
-
-def _view_parts(
-    observer: RangeObserver, change_m: np.ndarray, *, pressed: bool
-) -> list[np.ndarray]:
-    """Part of the view of each block, (B,) int, per division: rings, or two sets of sectors."""
-    if not pressed:
-        return [height_rings(observer)]
-    row, column = np.divmod(observer.block_number, observer.columns)
-    deepest = int(np.argmin(change_m))
-    turn = np.arctan2(row - row[deepest], column - column[deepest]) / (2.0 * np.pi)
-    shifts = 0.0, 0.5 / _SECTORS
-    return [(np.floor((turn + shift) * _SECTORS) % _SECTORS).astype(int) for shift in shifts]
 
 
 def jackknife_errors(

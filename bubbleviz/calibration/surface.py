@@ -355,13 +355,13 @@ def _errors(
     (row, column), columns = np.divmod(pixels, width), -(-width // stride)
     to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
+    depth_m = samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels]
+    error_m = depth_m - np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth)
+    error_m[np.abs(error_m) > _CLIP * noise / to_depth] = np.nan
     covariances = cluster_covariances(
         statistics,
         (row // stride * columns + column // stride, columns, stride),
-        samples.depth_m.reshape(len(samples.depth_m), -1),
-        pixels,
-        np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth),
-        np.nan_to_num(_CLIP * noise / to_depth),
+        error_m,
         influence * to_depth[:, None],
         residual_m / to_depth,
         parameters,
