@@ -74,8 +74,9 @@ _MIN_GAUGE = 0.1  # over the initial gauge pressure
 _SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 """Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
 _GRADIENT_SIGMA = 0.1
-"""Standard deviation of the relative change of stiffness from the middle to the rim: a thickness of
-1 mm has a tolerance of ±0.1 to ±0.2 mm (ISO 3302-1), the larger taken as the 95 % interval."""
+"""Standard deviation of the relative change of stiffness from the middle to the rim. By ISO 3302-1
+a moulded thickness of 1 mm has a tolerance of ±0.10 (M1), ±0.15 (M2) or ±0.40 mm (M3): ±0.2 is
+taken as the 95 % interval."""
 _RUBBER, _MATERIAL = [0, 2, 3, 4], 5
 """Places of q, share and gradient, and number of unknowns before the contact pressures, of which
 the second is G over the initial one."""
