@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +123,11 @@ def _as_ros2(payload: bytes, kind: str) -> bytes:
 # The simulated sensor as a live source.
 
 
+_PREPARED = 0.5
+"""Sending begins once the other frames are simulated in this share of the time until they are due,
+at the usual pace so far: contact takes longer than rest, and solver and window run meanwhile."""
+
+
 class SyntheticLive(LiveSource):
     """Streams the frames of a simulation in a loop, stamped with the current time.
 
@@ -135,8 +140,8 @@ class SyntheticLive(LiveSource):
         make: Callable[[], FrameSource],  # makes the simulation, in the source's thread
         rate_hz: float,  # frames a second
         *,
-        # simulate all frames before the first one is sent, so that the first round is smooth; else
-        # each when it is due, late if the simulation is slower than the rate
+        # simulate as many frames before the first one is sent as make the first round smooth; else
+        # frames may be late
         ahead: bool = True,
         messages: FrameMessages | None = None,  # how frames become messages
     ) -> None:
@@ -147,25 +152,36 @@ class SyntheticLive(LiveSource):
 
     def _run(self, deliver: Deliver) -> None:
         simulation = self._make()
-        messages_of = cache(lambda k: list(self._messages.of(simulation[k])))
+        pool = ThreadPoolExecutor(1, "simulation")
         try:
-            first = len(simulation) if self._ahead else 1
-            for k in range(first):
+            count, done_s = len(simulation), [time.monotonic()]
+
+            def simulated(k: int) -> list[Message]:
+                messages = list(self._messages.of(simulation[k]))
+                done_s.append(time.monotonic())  # here: who waits for it may be late
+                return messages
+
+            images = [pool.submit(simulated, k) for k in range(count)]
+            for done, image in enumerate(images, 1):
+                self.preparing = f"simulating the first images, {done} of {count}"
+                image.result()
+                left_s = float(np.median(np.diff(done_s[-100:]))) * (count - done)
+                if not self._ahead or left_s < _PREPARED * count / self._rate:
+                    break
                 if self._stopped.is_set():
                     return
-                self.preparing = f"simulating the first images, {k + 1} of {first}"
-                messages_of(k)
-            self.topics = tuple(OfferedTopic(m.topic, m.type) for m in messages_of(0))
+            self.topics = tuple(OfferedTopic(m.topic, m.type) for m in images[0].result())
             self.link = "up"
             start, epoch, sent = time.monotonic(), time.time_ns(), 0
             while self._wait_until(start + sent / self._rate):
-                messages = messages_of(sent % len(simulation))
+                messages = images[sent % count].result()
                 later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
                 for message in messages:
                     now = message.later(later_ns)
                     deliver(now._replace(arrival_ns=time.time_ns(), sequence=sent))
                 sent += 1
         finally:
+            pool.shutdown(cancel_futures=True)
             simulation.close()
 
 

@@ -34,6 +34,7 @@ from bubbleviz.live import (
     Replay,
     SensorPlace,
     SessionPreset,
+    SyntheticLive,
     load_session,
     open_stream,
 )
@@ -93,6 +94,63 @@ def test_simulation_on_the_fly_equals_the_precomputed_one(small_sensor):
             depths.append(frame.depth_m)
             assert all(topic.name.startswith("/left/") for topic in stream.source.topics)
     np.testing.assert_array_equal(depths[0], depths[1])
+
+
+class SlowSimulation:
+    """Forty times one frame; `before` is called before each."""
+
+    times_s = np.arange(40) / 10.0
+
+    def __init__(self, sensor, before):
+        with open_stream("synthetic:?frames=2", sensor) as stream:
+            self.frame = stream.take(5.0)
+        self.before = before
+
+    def __len__(self):
+        return len(self.times_s)
+
+    def __getitem__(self, index):
+        self.before(index)
+        return self.frame
+
+    def close(self):
+        pass
+
+
+def test_a_simulation_begins_before_all_frames_are_simulated(small_sensor):
+    """The later ones are due in four seconds, and none of them is ready until then."""
+    held = threading.Event()
+    slow = SlowSimulation(small_sensor, lambda index: index < 30 or held.wait())
+    with LiveStream(SyntheticLive("slow", lambda: slow, 10.0), small_sensor) as stream:
+        first = stream.take(5.0)
+        held.set()
+    assert first is not None
+
+
+def test_a_simulation_slower_than_its_rate_begins_late_though_frames_are_seen_in_bursts(
+    small_sensor,
+):
+    """What counts is how long frames take, not when the source's thread gets to see them."""
+    made, ten = list[int](), threading.Event()
+
+    def before(index):
+        threading.Event().wait(0.01)  # a frame takes ten times its share of the time
+        made.append(index)
+        if index == 10:
+            ten.set()
+
+    class Busy(SyntheticLive):
+        """Its thread gets to see the first ten frames at once."""
+
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if name == "preparing" and " of " in value:
+                ten.wait()
+
+    slow = SlowSimulation(small_sensor, before)
+    with LiveStream(Busy("slow", lambda: slow, 1000.0), small_sensor) as stream:
+        assert stream.take(5.0) is not None
+        assert len(made) > 30
 
 
 def test_only_the_newest_frame_is_delivered_and_skipped_ones_counted(small_sensor, eventually):
@@ -378,7 +436,6 @@ def test_missing_camera_gives_one_line(small_sensor):
 
 def test_streams_end_when_their_source_fails(small_sensor, eventually):
     """The object of the simulation cuts the rim: the stream reports it and ends."""
-    from bubbleviz.live import SyntheticLive
 
     def make():
         poses = np.tile(np.eye(4), (2, 1, 1))

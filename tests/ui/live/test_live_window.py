@@ -68,7 +68,9 @@ def test_badge_of_each_kind_of_source(open_bench):
     assert " (simulated) " in bench.window.windowTitle()
     # the wait for a simulation is explained as such
     bench.click(bar.leave)
-    bench.live_controller.connect_to(single("synthetic:?frames=600", sensor_file(bench.folder)))
+    bench.live_controller.connect_to(
+        single("synthetic:?frames=600&rate=1000", sensor_file(bench.folder))
+    )
     text = bench.window.live.state.text
     bench.wait(lambda: "simulating the first images, " in text() and " of 600" in text())
     before = text()
