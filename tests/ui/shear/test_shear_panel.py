@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, DentSource, SpeckledSource, record, small_sensor
+from PySide6.QtCore import Qt
 from window_driver import clipboard_text, text_actors, view_texts
 
 from bubbleviz.diagnostics import ShearEllipse
@@ -181,6 +182,14 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     assert words["normal"] == "3.00 ± 0.20 N" and words["tangential"] == "1.50 ± 0.20 N"
     assert words["direction"] == "0 ± 7 °, not verified on real sensors"
     assert words["slip"] == "40 ± 20 %"
+    # in one line also in a narrow panel, that is with its unit
+    window.open_panels.show_only(frozenset({"shear"}))
+    window.resizeDocks([window.panels["shear"]], [1], Qt.Orientation.Horizontal)
+    for name, label in panel.values.items():
+        label.setText(words[name])
+    driver.wait_for_redraw()
+    for name, label in panel.values.items():
+        assert name == "direction" or label.height() < 2 * label.fontMetrics().height(), name
     alone = shear_texts(dragged(driver, "depth_alone"), Units())
     assert alone["state"] == "depth alone: no texture" and alone["slip"] == "–"
     assert alone["tangential"] == words["tangential"] and alone["displacement"] == "–"

@@ -80,6 +80,8 @@ TIPS = {
     "if unknown, for example because too little sticks",
 }
 UNVERIFIED = "not verified on real sensors"
+WIDEST = "≈ 88.88 ± 88.88 N·mm"
+"""A number that fits in one line of the narrowest panel."""
 STATES = {
     "ok": "depth and texture",
     "no_contact": "no contact",
@@ -146,6 +148,7 @@ class ShearPanel(QWidget):
         for name, label in self.values.items():
             theme.bold(label)
             label.setToolTip(f"{TIPS[name]}; ± is half of its 95 % interval")
+            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(WIDEST))
         self.plot = ShearPlot()
         self.plot.seen.connect(self._write)
         self.copy = push_button("Copy", "Copy these numbers as text, with their units", self._copy)
