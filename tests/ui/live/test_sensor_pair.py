@@ -121,6 +121,13 @@ def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(ope
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
     assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 2
+    # the buttons of sensors need no row of their own in a narrow bar
+    bench.window.resize(675, 427)
+    bench.wait_for_redraw()
+    bar = bench.window.live
+    assert bar.width() < bar.sizeHint().width() and len(bar.sensors) == 2
+    places = [each.mapTo(bar, each.rect().center()).y() for each in (bar.state, *bar.sensors)]
+    assert np.ptp(places) <= 1
     # placed and fully visible
     bench.window.resize(1400, 640)
     bench.window.use_scene(load_scene("review"))

@@ -234,11 +234,10 @@ class LiveBar(QFrame):
     # -- inside -------------------------------------------------------------------------------
 
     def _lay_out(self) -> None:
-        row, self._sensor_row = QWidget(), QWidget()
-        self._row = fill(QHBoxLayout(self._sensor_row), margins=(0, 0, 0, 0), spacing=6)
+        row, head, none = QWidget(), QWidget(), (0, 0, 0, 0)
+        self._head = fill(QHBoxLayout(head), (self.state, 1), margins=none, spacing=6)
         record = self.record, self.record.button
-        buttons = self.zero, self.publish, self.leave
-        BarLayout(row, self.state, self._sensor_row, *record, *buttons, margins=(0, 0, 0, 0))
+        BarLayout(row, head, *record, self.zero, self.publish, self.leave, margins=none)
         fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
@@ -254,7 +253,7 @@ class LiveBar(QFrame):
         """Create a button for each of two sensors."""
         while self.sensors:
             button = self.sensors.pop()
-            self._row.removeWidget(button)
+            self._head.removeWidget(button)
             button.deleteLater()
         for number, sensor in enumerate(self._pair.sensors):
             select = partial(self._pair.select, number)
@@ -266,9 +265,8 @@ class LiveBar(QFrame):
             button.setPalette(own)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.setChecked(number == self._pair.selected)
-            self._row.addWidget(button)
+            self._head.addWidget(button)
             self.sensors.append(button)
-        self._sensor_row.setVisible(bool(self.sensors))
 
     def _show_untrusted(self) -> None:
         """Show untrusted results on the buttons, as the readout is only of the selected sensor."""
