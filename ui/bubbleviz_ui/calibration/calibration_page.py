@@ -112,6 +112,7 @@ class ImageView(QWidget):
         self._unit = Unit("", 1.0, 0)
         self._kind = ImageKind("", colouring)
         self._host = PlotHost(self._make)
+        self._host.pointed.connect(self._on_mouse)
         self.title, self.value = QLabel(wordWrap=True), QLabel()
         theme.dim(self.value)
         row = fill(QHBoxLayout(), (self.title, 1), self.value)
@@ -169,9 +170,11 @@ class ImageView(QWidget):
         self._host.canvas.setFixedHeight(HEIGHT)
         self._host.canvas.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         self._host.canvas.viewport().installEventFilter(ControlInput(self))
-        self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
         return [self]
 
-    def _on_mouse(self, place: QPointF) -> None:
-        point = self._cell.box.mapSceneToView(place)
-        self.value.setText(self.at(math.floor(point.y()), math.floor(point.x())))
+    def _on_mouse(self, place: QPointF | None) -> None:
+        text = ""
+        if place is not None:
+            point = self._cell.box.mapSceneToView(place)
+            text = self.at(math.floor(point.y()), math.floor(point.x()))
+        self.value.setText(text)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from PySide6.QtCore import QEvent, QObject, QPointF, QSize, Qt
+from PySide6.QtCore import QPointF, QSize, Qt
 from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
@@ -21,7 +21,7 @@ from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Cell, Part, PlotHost
+from bubbleviz_ui.panels.plot_host import HEADING, LEAST_HEIGHT, Cell, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.binding import menu_button
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
@@ -226,9 +226,9 @@ class ImagesPanel(QWidget):
         self.setObjectName("images")
         self._scales, self._residual_max_m = scales, math.nan
         self._state, self._controller, self._hover = state, controller, hover
-        self._host = PlotHost(self._make, spacing=4)
+        self._host = PlotHost(spacing=4)  # each image is created when it is first chosen
         self._host.seen.connect(self._on_seen)
-        self._arranged: list[tuple[str, int]] | None = None
+        self._host.pointed.connect(self._on_mouse)
         self.cells: dict[str, ImageCell] = {}
         self._redraw = Throttle(self, self._draw, EVERY_MS)
         self.choose, self.boxes = menu_button(state, "images")
@@ -286,18 +286,7 @@ class ImagesPanel(QWidget):
         super().resizeEvent(event)
         self._arrange()
 
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Clear the mark when the mouse leaves the images."""
-        if event.type() == QEvent.Type.Leave:
-            self._hover.leave()
-        return False
-
     # -- drawing ------------------------------------------------------------------------------
-
-    def _make(self) -> list[Part]:
-        self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
-        self._host.canvas.installEventFilter(self)
-        return []  # each is created when it is first chosen
 
     def _cell(self, name: str) -> ImageCell:
         """The image of a name, created when it is first chosen."""
@@ -314,9 +303,6 @@ class ImagesPanel(QWidget):
             return
         shown = [name for name in IMAGES if name in self._state.settings.images]
         columns = best_columns(len(shown), self.width(), self.height() - HEADER)
-        if self._arranged == [(name, columns) for name in shown]:
-            return
-        self._arranged = [(name, columns) for name in shown]
         self._host.arrange([self._cell(name).item for name in shown], columns)
 
     def _draw(self) -> None:
@@ -338,8 +324,8 @@ class ImagesPanel(QWidget):
             scale = self._residual_max_m if name == "residual" else None
             cell.draw(images.get(name), ends, self._state.units, why, scale)
 
-    def _on_mouse(self, place: QPointF) -> None:
-        for name in self._state.settings.images:
+    def _on_mouse(self, place: QPointF | None) -> None:
+        for name in self._state.settings.images if place is not None else ():
             box = self._cell(name).box
             if box.sceneBoundingRect().contains(place) and self._has_depth_pixels(name):
                 at = box.mapSceneToView(place)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, Protocol
 
-from PySide6.QtCore import QEvent, Signal
+from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QColor, QPalette, QShowEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
@@ -28,16 +28,19 @@ def import_plots() -> None:
 class PlotHost(QWidget):
     """A pyqtgraph canvas, created when it is first shown.
 
-    `make`: Creates the parts, once.
+    `make`: Creates the parts, once; others may be added later.
     `spacing`: Between them, screen pixels.
     """
 
     seen = Signal()  # The canvas became visible
+    pointed = Signal(object)  # The mouse is at this `QPointF` of the canvas; None: it has left it
+    clicked = Signal(object)  # The mouse event of pyqtgraph
 
-    def __init__(self, make: Callable[[], Sequence[Part]], spacing: int = 2) -> None:
+    def __init__(self, make: Callable[[], Sequence[Part]] = tuple, spacing: int = 2) -> None:
         super().__init__()
         self._make, self._spacing = make, spacing
         self._parts: list[Part] = []
+        self._arranged: tuple[list[Any], int] | None = None
         self.canvas: Any = None
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(0, 0, 0, 0)
@@ -56,6 +59,9 @@ class PlotHost(QWidget):
             self.canvas.ci.layout.setSpacing(self._spacing)
             self.canvas.ci.setContentsMargins(0, 0, 0, 0)
             self._column.addWidget(self.canvas)
+            self.canvas.scene().sigMouseMoved.connect(self.pointed)
+            self.canvas.scene().sigMouseClicked.connect(self.clicked)
+            self.canvas.installEventFilter(self)
             self._parts += self._make()
             self._paint()
 
@@ -64,11 +70,15 @@ class PlotHost(QWidget):
         self._parts.append(part)
         part.paint(*self._text_colours())
 
-    def arrange(self, items: Sequence[Any], columns: int = 1) -> None:
-        """Arrange the items in a grid, replacing all others."""
+    def arrange(self, items: list[Any], columns: int = 1) -> bool:
+        """Arrange the items in a grid, replacing all others; returns whether they were not yet."""
+        if self._arranged == (items, columns):
+            return False
+        self._arranged = items, columns
         self.canvas.ci.clear()
         for k, item in enumerate(items):
             self.canvas.ci.addItem(item, k // columns, k % columns)
+        return True
 
     def close_canvas(self) -> None:
         """Close items that would outlive the window, such as menus of colour bars."""
@@ -81,6 +91,12 @@ class PlotHost(QWidget):
         super().showEvent(event)
         self.prepare()
         self.seen.emit()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Detect that the mouse leaves the canvas."""
+        if event.type() == QEvent.Type.Leave:
+            self.pointed.emit(None)
+        return False
 
     def changeEvent(self, event: QEvent) -> None:
         """Follow the window's theme."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PySide6.QtCore import QEvent, QObject, QPointF, QSize
+from PySide6.QtCore import QPointF, QSize
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
@@ -16,7 +16,7 @@ from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
-from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, Part, PlotHost
+from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
 from bubbleviz_ui.panels.wrench_plot import WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
@@ -45,8 +45,7 @@ class PlotsPanel(QWidget):
         self.setObjectName("plots")
         self._state, self._controller = state, controller
         self._redraw = Throttle(self, self._draw, EVERY_MS)
-        self._host = PlotHost(self._make)
-        self._arranged: list[tuple[int, int, int]] | None = None
+        self._host = PlotHost()  # each plot is created when it is first chosen
         self._hovered: tuple[str, float] | None = None
         self.plots: dict[str, TimePlot] = {}
         self.kappa: KappaPlot | None = None
@@ -101,6 +100,8 @@ class PlotsPanel(QWidget):
         self._controller.analysis.progressed.connect(self._on_analysed)
         self._controller.shown.connect(self._on_shown)
         self._host.seen.connect(self._on_seen)
+        self._host.pointed.connect(self._on_mouse)
+        self._host.clicked.connect(self._on_click)
 
     def show_other(self, aligned: AlignedRun | None) -> None:
         """Draw another recording's curves, too, or none."""
@@ -157,12 +158,6 @@ class PlotsPanel(QWidget):
 
     # -- drawing ------------------------------------------------------------------------------
 
-    def _make(self) -> list[Part]:
-        self._host.canvas.scene().sigMouseClicked.connect(self._on_click)
-        self._host.canvas.scene().sigMouseMoved.connect(self._on_mouse)
-        self._host.canvas.installEventFilter(self)
-        return []  # each is created when it is first chosen
-
     def _shown(self) -> list[Any]:
         """The chosen plots, created where they are new."""
         return [self._plot(name) for name in PLOTS if name in self._state.settings.plots]
@@ -196,12 +191,9 @@ class PlotsPanel(QWidget):
         shown = self._shown()
         columns = min(max(self.width() // CELL[0], 1), max(len(shown), 1))
         columns = -(-len(shown) // -(-len(shown) // columns)) if shown else 1
-        wanted = [(id(plot), k // columns, k % columns) for k, plot in enumerate(shown)]
-        if wanted == self._arranged:
+        if not self._host.arrange([plot.item for plot in shown], columns):
             return
-        self._arranged = wanted
         self._host.canvas.setMinimumHeight(CELL[1] * -(-len(shown) // columns))
-        self._host.arrange([plot.item for plot in shown], columns)
         timed = [plot for plot in shown if isinstance(plot, TimePlot)]
         for plot in timed[1:]:
             plot.box.setXLink(timed[0].box)
@@ -279,17 +271,10 @@ class PlotsPanel(QWidget):
                 self._state.seek(frame)
                 event.accept()
 
-    def _on_mouse(self, place: QPointF) -> None:
+    def _on_mouse(self, place: QPointF | None) -> None:
         """Show the values under the mouse in the heading of the plot."""
-        self._hovered = self._under(place)
+        self._hovered = None if place is None else self._under(place)
         self._draw_cursor()
-
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Clear the values when the mouse leaves the plots."""
-        if event.type() == QEvent.Type.Leave:
-            self._hovered = None
-            self._draw_cursor()
-        return False
 
     def _under(self, place: QPointF) -> tuple[str, float] | None:
         """Plot at a position of the canvas, and its time there, s."""
