@@ -35,7 +35,13 @@ MEASURED_FORCE = "measured_force_n"
 PATCH_QUANTITIES = ("area_m2", "center_x_m", "center_y_m", "center_z_m")
 UNKNOWN, FREE, CONTACT, UNTRUSTED = -1, 0, 1, 2
 """Contact state of a frame; `UNTRUSTED`: the estimate failed or is implausible."""
-_FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8
+_FRAME, _ESTIMATE, _PATCH, _SHEAR = 1, 2, 4, 8  # bits of `has`
+_BLANK = np.array(
+    (*(np.nan for _ in QUANTITIES), np.nan, UNKNOWN, 0, False, False),
+    [*((name, float) for name in QUANTITIES), ("wrench_n", float, 3), ("contact", np.int8),
+     ("has", np.uint8), ("untouched", bool), ("outdated", bool)],
+)  # fmt: skip
+"""What is known of a frame that was not computed."""
 
 
 OUTLIERS, OUTLIER_RATIO = 2, 1.5
@@ -84,81 +90,70 @@ class FrameHistory:
     """Numbers of the frames computed so far."""
 
     def __init__(self, frames: int) -> None:
-        # (F,) array of each of `QUANTITIES`; NaN where not computed
-        self.values = {name: np.full(frames, np.nan) for name in QUANTITIES}
-        # (F,) int8 array: `UNKNOWN`, `FREE`, `CONTACT` or `UNTRUSTED`
-        self.contact = np.full(frames, UNKNOWN, np.int8)
-        self._has = np.zeros(frames, np.uint8)
-        self._wrench = np.full((frames, 3), np.nan)
+        self.values = np.full(frames, _BLANK)  # NaN where not computed
         # (3,) force of the wrench sensor without contact; None: from the first contact-free frames
         self.wrench_bias_n: np.ndarray | None = None
-        self._untouched = np.zeros(frames, bool)
-        self._outdated = np.zeros(frames, bool)
         self.extremes = Extremes()
 
     def __len__(self) -> int:
-        return len(self.contact)
+        return len(self.values)
+
+    @property
+    def contact(self) -> np.ndarray:
+        """(F,) int8 array: `UNKNOWN`, `FREE`, `CONTACT` or `UNTRUSTED`."""
+        return self.values["contact"]
 
     def grow(self, frames: int) -> None:
         """Extend the arrays for new frames of a live source."""
-        for name, values in self.values.items():
-            self.values[name] = grown(values, frames, np.nan)
-        self.contact = grown(self.contact, frames, UNKNOWN)
-        self._has = grown(self._has, frames, 0)
-        self._wrench = grown(self._wrench, frames, np.nan)
-        self._untouched = grown(self._untouched, frames, False)
-        self._outdated = grown(self._outdated, frames, False)
+        self.values = grown(self.values, frames, _BLANK)
 
     def record(self, frame: int, known: Numbers, *, patch: bool) -> None:
         """Record the numbers of a frame; those of its patch only if `patch`."""
         self.extremes.include(frame, known)
         self._put(frame, known, ("gas_measured_pa", "total_ms", "latency_ms"))
-        self._has[frame] |= _FRAME
-        self._wrench[frame] = known.wrench_n
+        self.values["has"][frame] |= _FRAME
+        self.values["wrench_n"][frame] = known.wrench_n
         if known.status:
             self._put(frame, known, ("gas_law_pa", "residual_m", "solve_ms"))
-            self._has[frame] |= _ESTIMATE
-            self._untouched[frame] = known.status == "no_contact"
+            self.values["has"][frame] |= _ESTIMATE
+            self.values["untouched"][frame] = known.status == "no_contact"
         if known.has_shear:
             self._put(frame, known, SHEAR)
-            self._has[frame] |= _SHEAR
+            self.values["has"][frame] |= _SHEAR
         if known.has_patch and patch:
             self._put(frame, known, ("force_n", "force_half_width_n", "area_m2"))
             for name, value in zip(PATCH_QUANTITIES[1:], known.center_m, strict=True):
                 self.values[name][frame] = value
-            self._has[frame] |= _PATCH
+            self.values["has"][frame] |= _PATCH
             self.contact[frame] = _contact(known)
 
     def forget(self) -> None:
         """Drop the numbers of all frames, as forces are estimated otherwise; scales stay."""
-        for values in (*self.values.values(), self._wrench):
-            values[:] = np.nan
-        self.contact[:] = UNKNOWN
-        for flags in (self._has, self._untouched, self._outdated):
-            flags[:] = 0
+        self.values[:] = _BLANK
 
     def forget_patches(self) -> None:
         """Drop the patch numbers after a change of the threshold."""
         for name in PATCH_QUANTITIES:
             self.values[name][:] = np.nan
         self.contact[:] = UNKNOWN
-        self._outdated |= (self._has & _PATCH) > 0
-        self._has &= np.uint8(_FRAME | _ESTIMATE | _SHEAR)
+        self.values["outdated"] |= (self.values["has"] & _PATCH) > 0
+        self.values["has"] &= np.uint8(_FRAME | _ESTIMATE | _SHEAR)
 
     @property
     def outdated(self) -> np.ndarray:
         """Frames whose dropped patch numbers have not been computed again, (k,) int."""
-        return np.flatnonzero(self._outdated & ((self._has & _PATCH) == 0))
+        return np.flatnonzero(self.values["outdated"] & ((self.values["has"] & _PATCH) == 0))
 
     def quantity(self, name: str) -> np.ndarray:
         """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`."""
         if name != MEASURED_FORCE:
             return self.values[name]
+        wrench_n = self.values["wrench_n"]
         if self.wrench_bias_n is not None:
-            return np.asarray(np.linalg.norm(self._wrench - self.wrench_bias_n, axis=1))
+            return np.asarray(np.linalg.norm(wrench_n - self.wrench_bias_n, axis=1))
         free = np.zeros(len(self), bool)
-        free[np.flatnonzero(self._untouched)[:WRENCH_FRAMES]] = True
-        return measured_force(self._wrench, free)
+        free[np.flatnonzero(self.values["untouched"])[:WRENCH_FRAMES]] = True
+        return measured_force(wrench_n, free)
 
     def next_start(self, kind: int, frame: int, direction: int) -> int | None:
         """First of the next frames in a contact state, or of the previous ones (`direction` −1).
@@ -195,7 +190,7 @@ class FrameHistory:
             wanted |= _PATCH
         if products & {"traction", "slip"}:
             wanted |= _SHEAR
-        return np.flatnonzero((self._has & wanted) != wanted)
+        return np.flatnonzero((self.values["has"] & wanted) != wanted)
 
     def _put(self, frame: int, known: Numbers, names: tuple[str, ...]) -> None:
         for name in names:
@@ -210,7 +205,7 @@ def _contact(known: Numbers) -> int:
     return CONTACT if known.area_m2 > 0.0 else FREE
 
 
-def grown(values: np.ndarray, count: int, fill: float) -> np.ndarray:
+def grown(values: np.ndarray, count: int, fill: float | np.ndarray) -> np.ndarray:
     """The array extended to `count` values; copied only when its spare capacity is used up."""
     room = values.base if isinstance(values.base, np.ndarray) else values
     if len(room) < count:
