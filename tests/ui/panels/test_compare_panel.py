@@ -37,7 +37,7 @@ def wait_until_as_shown(driver):
     driver.wait(as_shown)
 
 
-def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive):
+def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive, monkeypatch):
     driver = drive(DentSource, frame=PRESSED)
     controller, dock = driver.window.controller, driver.window.panels["compare"]
     a, b = ComparedSetting(solver="linear", kappa=1.0), ComparedSetting(solver="linear", kappa=20.0)
@@ -90,6 +90,15 @@ def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive
     driver.wait(lambda: outlines(driver)[0] > 20)
     dock.hide()
     assert outlines(driver) == [0, 0]
+    # the solver is free while the panel is opened and while scrubbing
+    with monkeypatch.context() as patch:
+        patch.setattr("bubbleviz_ui.engine.controller.COLD_SOLVE_DELAY_MS", 1e6)
+        dock.show()
+        for frame in (7, 8, 9):
+            driver.seek(frame)
+            driver.wait_for_redraw()
+            assert text(driver, "status") == "solving …"
+    dock.hide()
     # a setting is used everywhere, and that is undone
     window, panel, state = driver.window, driver.window.compare, driver.state
     dock.show()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -199,10 +200,15 @@ class Controller(QObject):
         client.worker.submit(function, take, report, key="object")
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
-        """Measure two settings, or none, on the frame at the cursor while the solver is idle."""
+        """Measure two settings, or none, on the frame at the cursor while the solver is idle.
+
+        Cold after the delay of a cold solve: not while scrubbing, nor while the panel is opened.
+        """
         client, index, cold = self.client, self.state.frame, not self.state.advancing
         function = partial(client.solver.compare, index, settings, cold=cold)
-        client.worker.submit(function, partial(self.compared.emit, settings), key="compare")
+        due_s = time.perf_counter() + 1e-3 * COLD_SOLVE_DELAY_MS if cold and settings else 0.0
+        then = partial(self.compared.emit, settings)
+        client.worker.submit(function, then, key="compare", due_s=due_s)
 
     def find_reference(self) -> None:
         """Search the contact-free reference images again."""
