@@ -157,7 +157,7 @@ class Menus(QObject):
         self._add(menu, "Open ground &truth…", files.choose_truth)
         self._recent(menu.addMenu("Open &recent"))
         menu.addMenu(DepthTopicMenu(self._window, menu))
-        self._add(menu, "Re&load", self._saver.reload, "F5")
+        self._add(menu, "Re&load", self._window.controller.opening.reload, "F5")
         self._add(menu, "Infor&mation…", self.show_information, "Alt+Return")
         self._add(menu, "&Close", files.close, "Ctrl+W")
         menu.addSeparator()

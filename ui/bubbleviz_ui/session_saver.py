@@ -13,9 +13,9 @@ from PySide6.QtCore import QByteArray, QObject, QSaveFile, QStandardPaths, Qt, Q
 
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.solver import Opened
-from bubbleviz_ui.engine.source import SYNTHETIC, Source, sensor_for
+from bubbleviz_ui.engine.source import SYNTHETIC, Source
 from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import USER_SETTINGS
@@ -248,9 +248,10 @@ class SessionSaver(QObject):
             self._restore_without_source(saved)
             return False
         sensor = None if "sensor" in missing_files else saved.sensor
-        return self._window.controller.opening.open(
+        opening = self._window.controller.opening
+        return opening.open(
             source,
-            self._sensor_opener(source, sensor),
+            opening.sensor_of(source.path, sensor, source.depth_topic),
             frame=saved.frame,
             playing=source.live,
             before=begin,
@@ -261,23 +262,6 @@ class SessionSaver(QObject):
         same = saved.source is not None and Path(saved.source) == path.absolute()
         if same and saved.depth_topic == depth_topic:
             self._restoring = saved
-
-    def reload(self) -> None:
-        """Read recording and sensor again from their files."""
-        opened, state = self._opened, self._window.state
-        if opened is None or state.facts is None:
-            return
-        source, sensor = opened.request.source, opened.sensor
-        if source.path is not None:
-            source = replace(source)
-        path = sensor.resolve(sensor.file)
-        from_file = bool(sensor.file) and path.exists()
-        self._window.controller.opening.open(
-            source,
-            (lambda: load_sensor(path)) if from_file else (lambda: sensor),
-            frame=state.frame,
-            playing=state.playing,
-        )
 
     def _autosave(self) -> None:
         try:
@@ -336,15 +320,6 @@ class SessionSaver(QObject):
             self._report_problems()
             if saved.live is not None:
                 self._window.live_controller.connect_to(saved.live)
-
-    def _sensor_opener(self, source: Source, name: str | None) -> Callable[[], Sensor]:
-        if name is not None:
-            return lambda: load_sensor(name)
-        present = self._window.controller.sensor or load_sensor("pico_flexx_75mm")
-        path, topic = source.path, source.depth_topic
-        if path is not None:
-            return lambda: sensor_for(path, present, depth_topic=topic)
-        return lambda: present
 
     def _on_opened(self, opened: Opened) -> None:
         before, self._opened = self._opened, opened

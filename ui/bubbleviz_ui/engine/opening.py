@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import QObject, Signal
 
 from bubbleviz.errors import InputError
+from bubbleviz.files import SYNTHETIC_SENSOR
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import NO_SOURCE, Source, sensor_for
@@ -120,15 +121,27 @@ class Opening(QObject):
         self.open(source, self.sensor_of(path, sensor_file, depth_topic))
 
     def sensor_of(
-        self, path: Path | None, sensor_file: Path | None = None, depth_topic: str | None = None
+        self, path: Path | None, name: str | Path | None = None, depth_topic: str | None = None
     ) -> OpenSensor:
-        """Opens a sensor file, else the sensor for a recording: one in use before, or a preset."""
+        """Opens a sensor file or preset, else the sensor for a recording, or the one in use.
+
+        That for a recording is one in use before, or a preset.
+        """
         known = [each for each in (self.sensor, self._other_camera) if each is not None]
-        if sensor_file is not None:
-            return lambda: load_sensor(sensor_file)
+        if name is not None or not (known or path):
+            return partial(load_sensor, name or SYNTHETIC_SENSOR)
         if path is None:
             return lambda: known[0]
         return partial(sensor_for, path, *known, depth_topic=depth_topic)
+
+    def reload(self) -> None:
+        """Read recording and sensor again from their files."""
+        source, sensor = self.source, self.sensor
+        if source is not None and sensor is not None:
+            file = sensor.resolve(sensor.file)
+            from_file = bool(sensor.file) and file.exists()
+            again = replace(source) if source.path is not None else source
+            self.reopen("", partial(load_sensor, file) if from_file else lambda: sensor, again)
 
     def use_ground_truth(self, path: Path) -> None:
         """Reopen the simulated recording that is open with its TRUTH.npz."""
