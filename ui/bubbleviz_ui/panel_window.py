@@ -69,10 +69,9 @@ from bubbleviz_ui.shell.dock import (
 )
 from bubbleviz_ui.shell.file_dialogs import (
     last_sensor,
-    picture_format,
     remember,
     remember_sensor,
-    tell_of_picture,
+    save_picture,
 )
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
 from bubbleviz_ui.view3d.pointing import Pointing
@@ -178,8 +177,7 @@ class PanelWindow(QMainWindow):
 
     def save_screenshot(self, path: Path) -> None:
         """Write a screenshot of the window."""
-        written = self.grab().save(str(path), picture_format(path))
-        tell_of_picture(self.messages, path, written=written)
+        save_picture(self.messages, path, self.grab())
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:
         application = QApplication.instance()

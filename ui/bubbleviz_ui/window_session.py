@@ -220,14 +220,9 @@ class WindowSession:
 
     def save(self, out: Path) -> None:
         """Write a screenshot of the window atomically."""
-        from PySide6.QtCore import QSaveFile
+        from bubbleviz_ui.shell.file_dialogs import write_picture
 
-        file = QSaveFile(str(out))
-        opened = file.open(QSaveFile.OpenModeFlag.WriteOnly)
-        if not (opened and self.window.grab().save(file, "PNG") and file.commit()):
-            raise InputError(
-                f"{out}: cannot be written ({file.errorString()}); choose another place"
-            )
+        write_picture(out, self.window.grab())
 
     def save_still(self, out: Path) -> None:
         """Write a screenshot during playback, with view and panels at the same frame."""

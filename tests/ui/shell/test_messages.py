@@ -77,7 +77,7 @@ def test_notice_messages_and_hint_by_clicks(drive, desktop, tmp_path, monkeypatc
     window.session_saver.save_as(tmp_path / "look.bubbleviz")  # something else
     assert window.notice.isVisible()
     driver.wait(lambda: not window.notice.isVisible())
-    driver.wait_for_message("cannot be written")
+    driver.wait_for_message("missing does not exist; create it")
     driver.click(window.message.dismiss)
     assert not window.message.isVisible()
     monkeypatch.undo()

@@ -277,7 +277,7 @@ def test_saved_picture_turntable_and_layout_of_the_tools_panel(drive, tmp_path):
     driver.wait_until_shown()
     np.testing.assert_array_equal(driver.pixels(), before)
     tools.save_picture(tmp_path / "missing" / "view.png")
-    assert "cannot be written" in driver.message_text
+    assert "missing does not exist; create it" in driver.message_text
     # hover marks are hidden, marks of a click are kept
     driver.state.set_panel_open("images", True)  # also marks the place
     view = driver.window.view

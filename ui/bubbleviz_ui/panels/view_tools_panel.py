@@ -33,8 +33,7 @@ from bubbleviz_ui.shell.dock import fill, push_button, tool_button
 from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
     name_of_output,
-    picture_format,
-    tell_of_picture,
+    save_picture,
 )
 from bubbleviz_ui.view3d.object_layers import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
@@ -239,8 +238,7 @@ class ViewTools(QWidget):
         pixels = picture_of(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-        written = QPixmap.fromImage(image).save(str(path), picture_format(path))
-        tell_of_picture(self._state.messages, path, written=written)
+        save_picture(self._state.messages, path, QPixmap.fromImage(image))
 
     def _choose_file(self) -> None:
         title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"

@@ -9,11 +9,12 @@ import re
 from pathlib import Path
 from typing import Literal
 
-from PySide6.QtCore import QSettings
-from PySide6.QtGui import QImageWriter
+from PySide6.QtCore import QBuffer, QSettings
+from PySide6.QtGui import QImageWriter, QPixmap
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
-from bubbleviz.files import free_name
+from bubbleviz.errors import InputError
+from bubbleviz.files import free_name, whole_file
 from bubbleviz_ui.model.messages import Messages
 
 Answer = Literal["save", "discard", "cancel"]
@@ -156,17 +157,24 @@ def _folders() -> QSettings:
     return QSettings("bubbleviz", "folders")
 
 
-def tell_of_picture(messages: Messages, path: Path, *, written: bool) -> None:
-    """Message about a picture that was written, or could not be."""
-    if written:
-        messages.add("notice", f"Saved {path}", file=path, topic="picture")
-    else:
-        problem = f"{path}: cannot be written; choose another place"
-        messages.add("error", problem, topic="picture")
+def write_picture(path: Path, picture: QPixmap) -> None:
+    """Write or replace a picture atomically, as PNG unless the suffix is of another known format.
 
-
-def picture_format(path: Path) -> str:
-    """Image format by the suffix of a file; PNG if unknown."""
+    Raises InputError: It cannot be written.
+    """
     known = {bytes(name.data()).decode() for name in QImageWriter.supportedImageFormats()}
     suffix = path.suffix.removeprefix(".").lower()
-    return suffix if suffix in known else "png"
+    buffer = QBuffer()
+    picture.save(buffer, suffix if suffix in known else "png")
+    with whole_file(path, overwrite=True) as temporary:
+        temporary.write_bytes(buffer.data().data())
+
+
+def save_picture(messages: Messages, path: Path, picture: QPixmap) -> None:
+    """Write a picture, with a message about the file, or why it could not be written."""
+    try:
+        write_picture(path, picture)
+    except InputError as error:
+        messages.add("error", str(error), topic="picture")
+    else:
+        messages.add("notice", f"Saved {path}", file=path, topic="picture")
