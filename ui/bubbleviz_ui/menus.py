@@ -20,7 +20,7 @@ from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.files import Files
 from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
-from bubbleviz_ui.model.registry import LAYERS, PATCH
+from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import LOOPBACK, Settings
 from bubbleviz_ui.model.source_facts import SourceFacts, name_of
@@ -412,9 +412,7 @@ class Menus(QObject):
 
     def _seek_found(self, frame: int | None, nothing: str, found: str = "") -> None:
         """Go to a frame found in the computed ones; say what it is if there are others."""
-        state = self._window.state
-        whole = state.facts is None or state.facts.grows
-        missing = 0 if whole else len(state.history.missing(PATCH))
+        state, missing = self._window.state, self._window.state.left_to_analyse
         rest = f" so far; {count_of(missing, 'frame')} left to analyse" if missing else ""
         if frame is not None:
             state.step(frame - state.frame)

@@ -14,6 +14,7 @@ from bubbleviz.errors import InputError, UnknownCameraError
 from bubbleviz.recordings import (
     Frame,
     FrameSource,
+    HeldFrames,
     Recording,
     check_fits,
     fitting_sensor,
@@ -110,21 +111,10 @@ def _synthetic(sensor: Sensor) -> FrameSource:
     return NoisyLoop(CachedSource(press), press.camera, noise)
 
 
-class _EmptySource:
+def _at_rest(sensor: Sensor) -> FrameSource:
     """Source while none is open: one depth image without returns."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        self.name, self.times_s = NOTHING_OPEN, np.zeros(1)
-        self._size = sensor.camera.height, sensor.camera.width
-
-    def __len__(self) -> int:
-        return 1
-
-    def __getitem__(self, index: int) -> Frame:
-        return Frame(index, 0.0, np.full(self._size, np.nan, np.float32))
-
-    def close(self) -> None:
-        """Nothing to close."""
+    depth_m = np.full((sensor.camera.height, sensor.camera.width), np.nan, np.float32)
+    return HeldFrames([Frame(0, 0.0, depth_m)], NOTHING_OPEN)
 
 
 class CachedSource:
@@ -154,5 +144,5 @@ class CachedSource:
 
 
 SYNTHETIC = Source("synthetic press", _synthetic, live=True, name="synthetic:")
-NO_SOURCE = Source("the sensor at rest", _EmptySource)
+NO_SOURCE = Source("the sensor at rest", _at_rest)
 """Open while no other source is."""

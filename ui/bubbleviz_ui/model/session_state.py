@@ -12,6 +12,7 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.diagnostics import Numbers
 from bubbleviz_ui.model.frame_history import FrameHistory
 from bubbleviz_ui.model.messages import Messages
+from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import Badge, ConnectionState, SourceFacts
 from bubbleviz_ui.model.units import UNIT_CHOICES, Units
@@ -78,6 +79,13 @@ class SessionState(QObject):
     def grows(self) -> bool:
         """Whether the source is live, and frames are added."""
         return self.facts is not None and self.facts.grows
+
+    @property
+    def left_to_analyse(self) -> int:
+        """Number of frames of a recording whose patch is not computed yet."""
+        facts = self.facts
+        whole = facts is None or facts.grows or facts.is_empty
+        return 0 if whole else len(self.history.missing(PATCH))
 
     @property
     def advancing(self) -> bool:

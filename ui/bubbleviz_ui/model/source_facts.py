@@ -13,7 +13,7 @@ from bubbleviz.live import State
 from bubbleviz.recordings import Gap, TimeAxis, find_gaps
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import DASH, Units
 
 ConnectionState = State | Literal["disconnected"]
 """State of the live connection."""
@@ -73,6 +73,14 @@ class SourceFacts:
         """Mean frame rate of the camera, Hz; NaN for a single frame."""
         span = float(self.times_s[-1] - self.times_s[0]) if self.frames else 0.0
         return (self.frames - 1) / span if span > 0 else float("nan")
+
+    def frame_text(self, frame: int, units: Units, before_time: str) -> str:
+        """Number of a frame, of a recording also the first and last one, and its time."""
+        if self.is_empty:
+            return f"frame {DASH}"
+        of_all = "" if self.grows else f" of 0–{self.frames - 1}"
+        time_text = units.time.text(float(self.times_s[frame]))
+        return f"frame {frame}{of_all}{before_time}{time_text}"
 
     def badge(self, connection: ConnectionState, *, frozen: bool) -> Badge:
         """Status in one word; the connection state matters only while frames are added."""

@@ -139,11 +139,8 @@ class StatusBar(QStatusBar):
         """Show the numbers of a result; `final`: whether they are final."""
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
-        time_text = units.time.text(frame.time_s)
-        of_all = "" if facts.grows else f" of 0–{facts.frames - 1}"
-        place = f"frame {frame.index}{of_all} · {time_text}"
         texts = {
-            "frame": f"frame {DASH}" if facts.is_empty else place,
+            "frame": facts.frame_text(frame.index, units, " · "),
             "force": "force " + force_text(result, units, final=final),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),

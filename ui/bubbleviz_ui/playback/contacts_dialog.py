@@ -7,7 +7,6 @@ from PySide6.QtWidgets import QDialog, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import ContactPeriod
-from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.shell import theme
@@ -56,7 +55,7 @@ class ContactsDialog(QDialog):
                 f"{units.force.text(each.force_n)} in frame {each.largest}",
             )
             self.table.write(row, texts, right=range(len(COLUMNS)))
-        missing = 0 if facts.grows or facts.is_empty else len(state.history.missing(PATCH))
+        missing = state.left_to_analyse
         note = f"{count_of(missing, 'frame')} not yet computed; run Analyse all frames"
         self.note.setText(note)
         self.note.setVisible(missing > 0)

@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SPEEDS, Settings
 from bubbleviz_ui.model.throttle import Throttle
-from bubbleviz_ui.model.units import DASH
 from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell.binding import bind, control
@@ -158,13 +157,7 @@ class PlaybackPanel(QWidget):
 
     def _text(self, frame: int) -> str:
         facts = self._state.facts
-        if facts is None:
-            return ""
-        if facts.is_empty:
-            return f"frame {DASH}"
-        time_text = self._state.units.time.text(float(facts.times_s[frame]))
-        of_all = "" if facts.grows else f" of 0–{facts.frames - 1}"
-        return f"frame {frame}{of_all}   {time_text}"
+        return "" if facts is None else facts.frame_text(frame, self._state.units, "   ")
 
 
 def _width(widgets: Sequence[QWidget]) -> int:

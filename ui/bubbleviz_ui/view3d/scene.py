@@ -13,9 +13,9 @@ from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Probed
 from bubbleviz.membrane import MembraneMesh, build_mesh
 from bubbleviz.output import ComparedResult
-from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.source import NO_SOURCE
 from bubbleviz_ui.model.frame_history import FrameHistory
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
@@ -239,8 +239,7 @@ class Scene:
     def show_at_rest(self, sensor: Sensor) -> None:
         """Draw the membrane at rest, before a source is open."""
         self.set_sensor(sensor, build_mesh(sensor))
-        depth_m = np.full((sensor.camera.height, sensor.camera.width), np.nan, np.float32)
-        self.show(Result(Frame(0, 0.0, depth_m)), self._state.settings)
+        self.show(Result(NO_SOURCE.open(sensor)[0]), self._state.settings)
 
     def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings while their frame is shown."""
