@@ -392,8 +392,9 @@ class GaussNewton:
         """Support (n,) bool of contacts that continue at `_hidden` nodes.
 
         The edge of the image, or of a hole in it, is not the edge of the contact, and the L1 term
-        selects no node that has no measurement. A contact may continue there by its own diameter.
-        How much pressure there is follows from smoothness and from the membrane around.
+        selects no node that has no measurement. A contact may continue there by its own diameter,
+        which each selection takes from what was found there by the one before. How much pressure
+        there is follows from smoothness and from the membrane around.
         """
         mesh, hidden = self.mesh, self._hidden(observed)
         if not (hidden & grown(mesh.rings, support)).any():
@@ -404,7 +405,6 @@ class GaussNewton:
             own = np.zeros_like(support)
             own[nodes[part == number]] = True
             if (own & ~hidden).any():
-                own &= ~hidden
                 diameter_m = 2.0 * np.sqrt(mesh.areas[own].sum() / np.pi)
                 for _ in range(round(diameter_m / mesh.edge_length)):
                     own |= hidden & grown(mesh.rings, own)

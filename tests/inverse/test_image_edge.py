@@ -32,6 +32,7 @@ def noisy(request):
     [
         ("left", 0.009, BALL, 0.4),  # beyond the axis, over the contact's radius
         ("right", 0.009, BALL, -0.2),
+        ("top", 0.006, BALL, -0.7),  # a sliver is seen
         ("top", 0.006, np.inf, 0.2),
         ("bottom", 0.006, np.inf, 0.15),
     ],
