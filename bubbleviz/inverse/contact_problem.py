@@ -24,7 +24,7 @@ from scipy.linalg.blas import dger
 
 from bubbleviz.inverse.measurements import Measurements
 from bubbleviz.inverse.pivoting import nonnegative_qp, part
-from bubbleviz.inverse.resolution import universal_threshold
+from bubbleviz.inverse.resolution import blur_m, universal_threshold
 from bubbleviz.inverse.response import Tangent
 from bubbleviz.membrane import (
     MembraneMesh,
@@ -574,6 +574,29 @@ class ContactProblem:
 
 
 # Which connected parts of an estimated pressure are significant contacts.
+
+
+def touching_parts(
+    mesh: MembraneMesh,
+    support: np.ndarray,
+    pressure: np.ndarray,
+    least_pa: float,
+    resolution_m: float,
+) -> np.ndarray:
+    """Parts of a support (n,) bool with a pressure (n,) as high as a body's that touches.
+
+    A convex body carries `least_pa` or more, p. A load F that is spread evenly at p over a disc and
+    blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))).
+    """
+    blur = blur_m(resolution_m, mesh.edge_length)
+    count, part = connected_parts(mesh.rings, support)
+    found = pressure[support]
+    load = np.bincount(part, mesh.areas[support] * found, minlength=count)
+    least = -least_pa * np.expm1(-load / (2.0 * np.pi * blur**2 * least_pa))
+    touching = np.bincount(part, (found > 0.0) & (found >= least[part]), minlength=count) > 0.0
+    kept = support.copy()
+    kept[support] = touching[part]
+    return kept
 
 
 MISPLACED_LOAD = 0.15

@@ -18,13 +18,14 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Selection,
     smoothness,
+    touching_parts,
 )
 from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.gauss_newton import TANGENT_REUSE
 from bubbleviz.inverse.measurements import Measurements, Nuisances
 from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
 from bubbleviz.inverse.response import Bubble, ConstantTension, RubberBubble
-from bubbleviz.membrane import MembraneMesh, Refined, grown, parts_with, refined_part
+from bubbleviz.membrane import MembraneMesh, Refined, grown, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
@@ -101,7 +102,7 @@ class ContactRefiner:
             return None
         pressure = estimate.contact_pressure_pa
         gas = self._gas_pressure(estimate)
-        touching = parts_with(self._model.mesh.rings, pressure >= gas, pressure > 0.0)
+        touching = touching_parts(self._model.mesh, pressure > 0.0, pressure, gas, resolution)
         if not 0 < np.count_nonzero(touching) <= _MOST_NODES:
             return None
         noise = noise_at(resolution, nominal)
@@ -165,7 +166,7 @@ class ContactRefiner:
         gas, least = estimate.gas_pressure_change_pa, self._gas_pressure(estimate)
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-            return parts_with(finer.mesh.rings, pressure >= least, support)
+            return touching_parts(finer.mesh, support, pressure, least, part.resolution_m)
 
         x = finer.values(self._model.mesh.deformed(estimate.motion_m))
         support = finer.values((estimate.contact_pressure_pa > 0.0).astype(float)) >= 0.5

@@ -9,7 +9,6 @@ import numpy as np
 
 from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError, check_number
-from bubbleviz.inverse.contact_problem import smoothness
 from bubbleviz.inverse.friction import FRICTION, contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import IMAGE_ERROR, GaussNewton
 from bubbleviz.inverse.iteration import Iteration, SolvedFrame, Start, is_untouched
@@ -21,7 +20,7 @@ from bubbleviz.inverse.plausibility import (
     reason_against_fit,
     reason_against_gas,
 )
-from bubbleviz.inverse.resolution import at_noise, resolution_m
+from bubbleviz.inverse.resolution import at_noise
 from bubbleviz.inverse.response import Bubble, RubberBubble
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.result import Estimate, Status
@@ -167,15 +166,13 @@ class Estimator:
         self.solver_name = RUBBER if exact else LINEAR
         self.held_pressure_pa = bubble.held_pressure_pa
         self.prior_weight = (self.options.pressure_scale * self.held_pressure_pa) ** -2.0
-        self.smoothness = smoothness(self.mesh, self.prior_weight)
         self.size_m = size = sqrt(self.mesh.facet_areas.sum() / pi)
         friction = self.options.friction if exact else 0.0
         self._newton = GaussNewton(
-            observer, bubble, self.smoothness, size, friction, self.options.image_error
+            observer, bubble, self.prior_weight, size, friction, self.options.image_error
         )
+        self.smoothness, self.resolution_m = self._newton.smoothness, self._newton.resolution_m
         self.information = self._newton.weight_density
-        tension = bubble.tension_n_per_m
-        self.resolution_m = resolution_m(self.prior_weight, tension, self.information)
 
     def estimate(
         self,

@@ -16,6 +16,8 @@ from bubbleviz.inverse.contact_problem import (
     Prior,
     Selection,
     significant_contact,
+    smoothness,
+    touching_parts,
 )
 from bubbleviz.inverse.friction import friction_nuisances
 from bubbleviz.inverse.measurements import (
@@ -27,9 +29,9 @@ from bubbleviz.inverse.measurements import (
 )
 from bubbleviz.inverse.noise import Noise
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
-from bubbleviz.inverse.resolution import sampled, universal_threshold
+from bubbleviz.inverse.resolution import resolution_m, sampled, universal_threshold
 from bubbleviz.inverse.response import BALANCED_MOTION, Bubble, Tangent
-from bubbleviz.membrane import Gas, connected_parts, grown, parts_with
+from bubbleviz.membrane import Gas, connected_parts, grown
 
 TANGENT_REUSE, LARGE_MOTION, MAX_STEP = 0.2, 0.5, 2.0
 """Motions of the nodes over the mesh edge. A tangent is used again within `TANGENT_REUSE` of the
@@ -135,8 +137,8 @@ class GaussNewton:
     ----------
     observer : RangeObserver
     bubble : Bubble
-    smoothness : (n, n) sparse array
-        λ L of the H1 term.
+    prior_weight : float
+        λ of the H1 term, 1/Pa².
     length_m : float
         Size of the membrane, m: ranges with larger errors are not of it.
     friction : float
@@ -148,8 +150,12 @@ class GaussNewton:
     ----------
     rest : State
         Without contact.
+    smoothness : (n, n) sparse array
+        λ L of the H1 term.
     image_prior : ImageErrors
         Of an image of which nothing else is known.
+    resolution_m : float
+        Width of the estimate's response to a point load, m, at the noise of the camera.
     weight_density : float
         Weight of all ranges at rest over the membrane's area, 1/m⁴.
     """
@@ -158,13 +164,14 @@ class GaussNewton:
         self,
         observer: RangeObserver,
         bubble: Bubble,
-        smoothness: sparse.csr_array,
+        prior_weight: float,
         length_m: float,
         friction: float,
         image_error: float,
     ) -> None:
         self.mesh, self.observer, self.bubble = observer.mesh, observer, bubble
-        self._smoothness, self.length_m, self.friction = smoothness, length_m, friction
+        self.smoothness = smoothness(self.mesh, prior_weight)
+        self.length_m, self.friction = length_m, friction
         depth = float(observer.image_errors[:, 3].mean() / observer.image_errors[:, 0].mean())
         image_sigma = image_error * np.array([depth, depth, depth, 1.0])
         self.image_prior = ImageErrors(np.zeros_like(image_sigma), np.diag(image_sigma**2))
@@ -181,6 +188,8 @@ class GaussNewton:
         }
         self._view_at_rest = observer.around(rest)
         self._detection_at_rest()
+        tension = bubble.tension_n_per_m
+        self.resolution_m = resolution_m(prior_weight, tension, self.weight_density)
 
     def with_gas(self, gas: Gas) -> GaussNewton:
         """The same solver for a gas pressure measured with another error."""
@@ -322,7 +331,7 @@ class GaussNewton:
                 self.friction,
                 friction_scales,
                 self.mesh.rings,
-                self._smoothness,
+                self.smoothness,
                 observed.seen_by_flow,
             )
             by_depth = np.arange(len(found[0].sigma))
@@ -338,7 +347,7 @@ class GaussNewton:
     def _problem(
         self, tangent: Tangent, measurements: Measurements, state: State, gas: float | None
     ) -> ContactProblem:
-        prior = Prior(self._smoothness, self.threshold(measurements), self.mesh.rings)
+        prior = Prior(self.smoothness, self.threshold(measurements), self.mesh.rings)
         relaxing = self._relaxation(tangent, state, gas)
         return ContactProblem(tangent, measurements, prior, state.pressure, relaxing)
 
@@ -362,7 +371,7 @@ class GaussNewton:
         least = self.bubble.held_pressure_pa + change
 
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-            return parts_with(self.mesh.rings, pressure >= least, support)
+            return touching_parts(self.mesh, support, pressure, least, self.resolution_m)
 
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)

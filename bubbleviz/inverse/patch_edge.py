@@ -21,6 +21,7 @@ from math import ceil, log, sqrt
 import numpy as np
 from scipy.spatial.distance import cdist
 
+from bubbleviz.inverse.resolution import MESH_BLUR, blur_m
 from bubbleviz.membrane import MembraneMesh, grown, level_line
 
 # The part of a mesh around a set of nodes: neighbours, smoothing, distance to a contour.
@@ -103,7 +104,6 @@ def contour_points(region: Region, field: np.ndarray) -> np.ndarray:
     return np.concatenate([pieces[:, 0], 0.5 * (pieces[:, 0] + pieces[:, 1])])
 
 
-_MESH_BLUR = 0.5  # ℓ of what a mesh blurs, in its edges
 _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, that the blur may cause in a contact without holes
 _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is averaged
@@ -150,8 +150,8 @@ class PatchEdge:
         self.edge_length_m = edge_length_m
 
     def blur_m(self, resolution_m: float) -> float:
-        """ℓ for a resolution of the estimate, m: at least the blur by the mesh, half an edge."""
-        return max(resolution_m, _MESH_BLUR * self.edge_length_m)
+        """ℓ for a resolution of the estimate, m."""
+        return blur_m(resolution_m, self.edge_length_m)
 
     def level_set(
         self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float, resolution_m: float
@@ -229,7 +229,7 @@ class PatchEdge:
 
         Only blur beyond that of the mesh counts: the nodes of the support end at the edge.
         """
-        excess = max(sqrt(max(blur**2 - (_MESH_BLUR * self.edge_length_m) ** 2, 0.0)), 1e-9)
+        excess = max(sqrt(max(blur**2 - (MESH_BLUR * self.edge_length_m) ** 2, 0.0)), 1e-9)
         widening: np.ndarray = excess * np.interp(half_width / excess, *_NARROW)
         return widening
 

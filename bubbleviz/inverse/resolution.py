@@ -27,6 +27,15 @@ def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: f
     return sqrt(3.0 * sqrt(3.0) / pi) / cutoff
 
 
+MESH_BLUR = 0.5
+"""ℓ of what a mesh blurs, in its edges."""
+
+
+def blur_m(resolution_m: float, edge_length_m: float) -> float:
+    """ℓ of an estimate on a mesh, m: at least the blur by the mesh."""
+    return max(resolution_m, MESH_BLUR * edge_length_m)
+
+
 def at_noise(resolution_m: float, factor: float) -> float:
     """Width ℓ for noise larger by a factor, m: w decreases with its square."""
     return resolution_m * factor ** (1.0 / 3.0)

@@ -15,7 +15,7 @@ def weights():
     """τ per area, and as much for the pull that each of many noisy frames puts on p_c = 0."""
     solver = estimator(150)
     mesh, observer = solver.mesh, solver.observer
-    newton = GaussNewton(observer, solver.bubble, solver.smoothness, 0.1, 0.0, 0.0)
+    newton = GaussNewton(observer, solver.bubble, solver.prior_weight, 0.1, 0.0, 0.0)
     view, nothing = observer.around(mesh.nodes), np.zeros(len(mesh.nodes))
     weight = observer.observe_everything().weight[view.block]
     tangent, none = solver.bubble.linearised(mesh.nodes, nothing, None), Nuisances.none

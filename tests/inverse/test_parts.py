@@ -111,7 +111,7 @@ def problem_of(sphere):
     """Noisy press on a coarse mesh, linearised at rest: problem, the oracle's form of it, and τ."""
     solver, depth = estimator(300), sphere.depth(0.01)
     mesh, film, nothing = solver.mesh, solver.bubble, np.zeros(len(solver.mesh.nodes))
-    newton = GaussNewton(solver.observer, film, solver.smoothness, 0.1, 0.0, 0.0)
+    newton = GaussNewton(solver.observer, film, solver.prior_weight, 0.1, 0.0, 0.0)
     view, observation = solver.observer.around(mesh.nodes), solver.observer.observe(depth)
     error, weight = observation.residual_m[view.block], observation.weight[view.block]
     ranges = Measurements(view.jacobian, error, weight, Nuisances.none(len(nothing)))

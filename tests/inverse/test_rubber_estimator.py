@@ -142,6 +142,18 @@ def test_two_small_contacts_are_found_on_a_fine_mesh():
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.01
 
 
+@pytest.mark.parametrize(("depth", "x", "noise_m"), [(0.0018, 0.0, 5e-5), (0.0012, 0.003, 2e-4)])
+def test_touches_smaller_than_a_triangle_are_found(depth, x, noise_m):
+    """Two of 0.013 N, and one of 0.012 N: the mesh shows less than the gas pressure there."""
+    mesh, contact = pressed("two_spheres", depth, x, nodes=4000)
+    image = depth_image_of(mesh, contact.displacement_3d_m, noise_m)
+    estimate, _ = estimator(600, relative=noise_m / 0.065).estimate(image)
+    assert estimate.status == "ok"
+    away = np.abs(estimate.force_n - contact.nodal_force_n.sum(axis=0))
+    assert (away < np.maximum(1.96 * estimate.force_sigma_n, 0.001)).all()
+    assert np.linalg.norm(away) < 0.003
+
+
 @pytest.mark.parametrize(
     ("depth", "off_pa"),
     [
