@@ -13,6 +13,7 @@ maximal evidence, which removes its bias.
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import log
@@ -297,14 +298,14 @@ class ContactProblem:
         pressure: np.ndarray,
         relaxation: np.ndarray,
     ) -> None:
-        self._membrane, self._measurements, self._prior = membrane, measurements, prior
+        self._membrane, self.measurements, self._prior = membrane, measurements, prior
         self._p0, self._relaxation = pressure, relaxation
         self._nodes = self._assembled = np.empty(0, int)
         self._hessian = np.empty((0, 0))
         self._position = np.full(len(pressure), -1)
         self._data_hessian = np.empty((0, 0))
         self._pulled = np.empty((0, len(measurements.nuisances.sigma) + 1))
-        """Jᵀ of W R and of `_weighed_error`, with J = D S, (assembled, a + 1)."""
+        """Jᵀ W of R and of the residual without contact pressure, J = D S, (assembled, a + 1)."""
         self._weighed: np.ndarray | None = None
         """Of the assembled nodes, see `_hessian_factors`."""
 
@@ -314,15 +315,24 @@ class ContactProblem:
         return self._relaxation + self._moved(self._p0)
 
     @cached_property
-    def _weighed_error(self) -> np.ndarray:
-        """Residual without contact pressure times the inverse of its covariance, (k,)."""
-        moved = self._measurements.jacobian @ self._unloaded.ravel()
-        return self._measurements.weighed(self._measurements.error - moved)
+    def _error(self) -> np.ndarray:
+        """Residual without contact pressure, (k,)."""
+        measured = self.measurements
+        return measured.error - measured.jacobian @ self._unloaded.ravel()
 
     @cached_property
     def _gradient_at_zero(self) -> np.ndarray:
         """Gradient of the misfit without contact pressure, (n,), 1/Pa."""
-        return self._pull(self._weighed_error)
+        return self._pull(self.measurements.weighed(self._error))
+
+    def with_prior(self, sigma: np.ndarray) -> ContactProblem:
+        """The same with other prior standard deviations (a,) of the nuisance amplitudes."""
+        other = copy(self)
+        other.measurements = self.measurements.with_prior(sigma)
+        other._position = self._position.copy()
+        other.__dict__.pop("_gradient_at_zero", None)
+        other._restrict_to(self._nodes)
+        return other
 
     def zero_is_optimal(self) -> bool:
         """Whether zero contact pressure is the solution."""
@@ -408,7 +418,7 @@ class ContactProblem:
             if np.array_equal(kept, support):
                 break
             support = kept
-        motion, measured = self._motion(pressure), self._measurements
+        motion, measured = self._motion(pressure), self.measurements
         amplitudes = measured.amplitudes(measured.error - measured.jacobian @ motion.ravel())
         return ContactPressure(
             support,
@@ -430,7 +440,7 @@ class ContactProblem:
         """Of pressures of nodes (s,) and amplitudes, if no others touch, (s + a, s + a)."""
         if not np.isin(nodes, self._nodes).all():
             self._restrict_to(nodes)
-        amplitude_cov = self._measurements.nuisance_covariance
+        amplitude_cov = self.measurements.nuisance_covariance
         pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._nodes, nodes)))
         slope = (
             amplitude_cov @ self._pulled[self._position[nodes], :-1].T
@@ -442,7 +452,7 @@ class ContactProblem:
         """Of q quantities, linear in those unknowns with coefficients (s + a, q), (q, q)."""
         if not np.isin(nodes, self._nodes).all():
             self._restrict_to(nodes)
-        amplitude_cov, by_amplitudes = self._measurements.nuisance_covariance, unit[len(nodes) :]
+        amplitude_cov, by_amplitudes = self.measurements.nuisance_covariance, unit[len(nodes) :]
         hessian = part(self._hessian, np.searchsorted(self._nodes, nodes))
         by_nuisances = self._pulled[self._position[nodes], :-1]
         by_pressures = unit[: len(nodes)] + by_nuisances @ amplitude_cov @ by_amplitudes
@@ -452,7 +462,7 @@ class ContactProblem:
     def misfit_gradient(self, nodes: np.ndarray, residual: np.ndarray) -> np.ndarray:
         """Gradient of the misfit by pressures of nodes (s,), for a residual (k,), 1/Pa."""
         S = self._membrane.coordinates(nodes)
-        return S.T @ (self._rows.T @ self._measurements.weighed(residual))
+        return S.T @ (self._rows.T @ self.measurements.weighed(residual))
 
     def _solve_on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support only."""
@@ -471,8 +481,9 @@ class ContactProblem:
         self._assemble_columns(work[~np.isin(work, self._assembled)])
         where = self._position[work]
         self._hessian = part(self._data_hessian, where) + dense_part(self._prior.smoothness, work)
-        by_nuisances, self._linear = self._pulled[where, :-1], self._pulled[where, -1]
-        self._hessian -= by_nuisances @ self._measurements.nuisance_covariance @ by_nuisances.T
+        by_nuisances, measured = self._pulled[where, :-1], self.measurements
+        self._hessian -= by_nuisances @ measured.nuisance_covariance @ by_nuisances.T
+        self._linear = self._pulled[where, -1] - by_nuisances @ measured.amplitudes(self._error)
 
     def _assemble_columns(self, nodes: np.ndarray) -> None:
         """Add the columns of the measurements' derivative by pressures of more nodes (c,)."""
@@ -496,12 +507,13 @@ class ContactProblem:
     @cached_property
     def _rows(self) -> sparse.csr_array:
         """D by the membrane's coordinates, (k, m)."""
-        return self._membrane.by_coordinates(self._measurements.jacobian)
+        return self._membrane.by_coordinates(self.measurements.jacobian)
 
     @cached_property
     def _weighed_rows(self) -> np.ndarray:
-        """Dᵀ of W R and of `_weighed_error`, by the membrane's coordinates, (m, a + 1)."""
-        weighed = self._measurements.nuisances_weighed, self._weighed_error
+        """Dᵀ W of R and of `_error`, by the membrane's coordinates, (m, a + 1)."""
+        measured = self.measurements
+        weighed = measured.nuisances_weighed, measured.weight * self._error
         pulled: np.ndarray = self._rows.T @ np.column_stack(weighed)
         return pulled
 
@@ -512,7 +524,7 @@ class ContactProblem:
         if rows.shape[0] < 2 * rows.shape[1]:
             return None
         weighed = rows.copy()
-        weighed.data *= np.repeat(self._measurements.weight, np.diff(rows.indptr))
+        weighed.data *= np.repeat(self.measurements.weight, np.diff(rows.indptr))
         return rows.T @ weighed
 
     def _hessian_factors(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -523,7 +535,7 @@ class ContactProblem:
         if self._information is not None:
             return S, self._information @ S
         root = self._rows @ S
-        root *= np.sqrt(self._measurements.weight)[:, None]
+        root *= np.sqrt(self.measurements.weight)[:, None]
         return root, root
 
     def _steepest(self, gradient: np.ndarray) -> np.ndarray:
@@ -533,8 +545,8 @@ class ContactProblem:
 
     def gradient(self, pressure: np.ndarray) -> np.ndarray:
         """Gradient of misfit and H1 term, (n,)."""
-        moved = self._measurements.jacobian @ self._motion(pressure).ravel()
-        weighed = self._measurements.weighed(self._measurements.error - moved)
+        moved = self.measurements.jacobian @ self._motion(pressure).ravel()
+        weighed = self.measurements.weighed(self.measurements.error - moved)
         return self._pull(weighed) + self._prior.smoothness @ pressure
 
     def kkt_residual(self, pressure: np.ndarray) -> float:
@@ -565,7 +577,7 @@ class ContactProblem:
 
     def _pull(self, weighed: np.ndarray) -> np.ndarray:
         """Derivative of the measurements by pressures, transposed, times a vector (k,)."""
-        return self._membrane.adjoint((self._measurements.transposed @ weighed).reshape(-1, 3))
+        return self._membrane.adjoint((self.measurements.transposed @ weighed).reshape(-1, 3))
 
     def _scatter(self, x: np.ndarray) -> np.ndarray:
         pressure = np.zeros(len(self._p0))

@@ -237,23 +237,35 @@ class Estimator:
         self, newton: GaussNewton, data: FrameData, start: Start
     ) -> tuple[Estimate, Start]:
         """Estimate and next warm start; without the known image errors if these do not fit."""
-        try:
-            answer = Iteration(newton, data, start).solve()
-        except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
-            answer = "not_converged"
-        doubt = "" if isinstance(answer, str) else self._doubt(answer)
+        answer, doubt = self._solution(newton, data, start)
         if data.image_errors is not None and (
             isinstance(answer, str) or doubt or answer.image_changed
         ):
-            return self._solve_frame(newton, replace(data, image_errors=None), start)
+            found = self._solve_frame(newton, replace(data, image_errors=None), start)
+            if isinstance(answer, str) or answer.touching or found[1].state is None:
+                return found
+            # The errors are known; without contact they do not fit, but they may with it.
+            answer, doubt = self._solution(newton, data, found[1])
+            if isinstance(answer, str) or doubt or answer.image_changed or not answer.touching:
+                return found
         if isinstance(answer, str):
             return no_estimate(self.mesh, answer, STATUS_REASONS[answer]), Start()
         if doubt:
             return no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m), Start()
         state, tangent = answer.step.state, answer.step.last_tangent
-        touching = state if state.pressure.any() else None
-        start = Start(touching, tangent, answer.noise, answer.friction_scales, answer.view)
+        touching = state if answer.touching else None
+        start = Start(touching, tangent, answer.noise, answer.step.scales, answer.view)
         return self._report(answer), start
+
+    def _solution(
+        self, newton: GaussNewton, data: FrameData, start: Start
+    ) -> tuple[SolvedFrame | Status, str]:
+        """Solution of a frame, or why there is none; and why it is implausible, or nothing."""
+        try:
+            answer = Iteration(newton, data, start).solve()
+        except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
+            answer = "not_converged"
+        return answer, "" if isinstance(answer, str) else self._doubt(answer)
 
     def _doubt(self, answer: SolvedFrame) -> str:
         """Why a solution is implausible; empty if it is not."""
@@ -280,10 +292,10 @@ class Estimator:
 
     def _report(self, answer: SolvedFrame) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
-        touching, moved = bool(state.pressure.any()), state.x - self.mesh.nodes
-        force = state.friction - state.pressure[:, None] * self.bubble.area_vectors(state.x)
+        moved = state.x - self.mesh.nodes
+        force = self._newton.nodal_force(state)
         return Estimate(
-            status="ok" if touching else "no_contact",
+            status="ok" if answer.touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
             contact_pressure_pa=state.pressure,
             gas_pressure_change_pa=state.gas,

@@ -47,9 +47,6 @@ solver. Intervals do without it: else friction of the size of its noise would be
 three cases."""
 WIDEST = 1.0, 1.0
 """Scales without evidence."""
-_SAME_SCALE = 0.1
-"""Change of the amplitudes, in their standard deviations, below which a scale has converged: far
-below what an interval shows. Chosen."""
 
 
 class FrictionScale(NamedTuple):
@@ -57,13 +54,11 @@ class FrictionScale(NamedTuple):
 
     `value` is that with the mean number of determined parameters (MacKay 1992) over all scales,
     so that its solution is near their mean. `spread` (q, q) is what the uncertainty of the scale
-    adds to the covariance of these amplitudes. `converged`: the frame was solved with that scale,
-    or with one that makes no difference.
+    adds to the covariance of these amplitudes.
     """
 
     value: float
     spread: np.ndarray
-    converged: bool
 
 
 def friction_scale(
@@ -83,6 +78,8 @@ def friction_scale(
     present : float
         Scale with which the frame was solved.
     """
+    if not len(amplitudes):  # no contact, or optical flow sees all
+        return FrictionScale(present, covariance)
     precision = np.linalg.inv(covariance)
     prior = (sigma * np.append(_SCALES, present)[:, None]) ** -2.0
     data, axes = np.linalg.eigh(precision - prior[-1] * np.eye(len(amplitudes)))
@@ -93,11 +90,10 @@ def friction_scale(
     evidence[0] += np.log(len(_SCALES) - 1.0)
     weight = _normalised(evidence)
     chosen = int(np.argmin(np.abs(determined[:-1] - weight @ determined[:-1])))
-    change = (solutions[-1] - solutions[chosen]) ** 2 @ (data + prior[-1])
     deviations, variance = solutions[:-1] - solutions[-1], 1.0 / (data + prior)
     more = np.maximum(equal @ variance[:-1] - variance[-1], 0.0)
     spread = axes @ (np.diag(more) + (deviations.T * equal) @ deviations) @ axes.T
-    return FrictionScale(float(_SCALES[chosen]), spread, bool(change < _SAME_SCALE**2))
+    return FrictionScale(float(_SCALES[chosen]), spread)
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:

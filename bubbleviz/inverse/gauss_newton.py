@@ -15,11 +15,12 @@ from bubbleviz.inverse.contact_problem import (
     ContactProblem,
     Prior,
     Selection,
+    TouchRule,
     significant_contact,
     smoothness,
     touching_parts,
 )
-from bubbleviz.inverse.friction import friction_nuisances
+from bubbleviz.inverse.friction import WIDEST, FrictionScale, friction_nuisances, friction_scale
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -28,6 +29,7 @@ from bubbleviz.inverse.measurements import (
     Nuisances,
 )
 from bubbleviz.inverse.noise import Noise
+from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
 from bubbleviz.inverse.resolution import resolution_m, sampled, universal_threshold
 from bubbleviz.inverse.response import BALANCED_MOTION, Bubble, Tangent
@@ -40,6 +42,8 @@ exact. A step is large beyond `LARGE_MOTION`, and no longer than `MAX_STEP`."""
 _MAX_EXCHANGE_NODES = 300
 """Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
 the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
+_MAX_SCALES = 4
+"""Solutions of a linearised problem, each with the scales of friction by the one before."""
 IMAGE_ERROR = 1e-3
 """Standard deviation of the errors of a whole depth image over the depth: 0.1 mm at 100 mm; scaled
 by the noise factor of a frame. Chosen on rubber dragged by another solver, whose
@@ -100,9 +104,10 @@ class Step:
         Of the step.
     last_tangent : Tangent
         The last one computed, which may be nearer to the new shape.
-    measurements : Measurements
     friction : two int arrays
         Amplitudes that are slides, and spins, by depth alone.
+    friction_scales : two FrictionScale
+        Of the prior of these.
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
     solve_ms : float
@@ -114,10 +119,21 @@ class Step:
     contact: ContactPressure
     tangent: Tangent
     last_tangent: Tangent
-    measurements: Measurements
     friction: tuple[np.ndarray, np.ndarray]
+    friction_scales: tuple[FrictionScale, FrictionScale]
     residual_m: np.ndarray
     solve_ms: float
+
+    @property
+    def measurements(self) -> Measurements:
+        """That were fitted, with the prior of their nuisances."""
+        return self.contact.problem.measurements
+
+    @property
+    def scales(self) -> tuple[float, float]:
+        """Values of `friction_scales`."""
+        slides, spins = self.friction_scales
+        return slides.value, spins.value
 
     @property
     def image_error_m(self) -> np.ndarray:
@@ -222,6 +238,10 @@ class GaussNewton:
         flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
         return LinearisedFrame(view, observation, measured_m, errors_m @ prior.units, prior, flow)
 
+    def nodal_force(self, state: State) -> np.ndarray:
+        """Force of the contact on the nodes, (n, 3), N."""
+        return state.friction - state.pressure[:, None] * self.bubble.area_vectors(state.x)
+
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
         outside = np.count_nonzero(observed.weight) - self.contact_blocks(observed, pressure)
@@ -276,7 +296,8 @@ class GaussNewton:
         )
         began = time.perf_counter()
         near = friction_scales is not None
-        contact = self._contact(tangent, measurements, state, observed, gas, rounds, near)
+        contact, touches = self._contact(tangent, measurements, state, observed, gas, rounds, near)
+        contact, scales = self._scaled(contact, touches, friction, friction_scales or WIDEST)
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
@@ -296,8 +317,8 @@ class GaussNewton:
             contact,
             tangent,
             last,
-            measurements,
             friction,
+            scales,
             residual,
             solve_ms,
         )
@@ -360,7 +381,7 @@ class GaussNewton:
         gas: float | None,
         rounds: int,
         near: bool,
-    ) -> ContactPressure:
+    ) -> tuple[ContactPressure, TouchRule]:
         problem = self._problem(tangent, measurements, state, gas)
         selection = Selection(state.support)
         if rounds and (state.pressure.any() or not problem.zero_is_optimal()):
@@ -379,12 +400,46 @@ class GaussNewton:
             continued = self._continued(selection.support, observed)
             selection = replace(selection, support=continued)
         contact = problem.solve_debiased(selection, touches)
-        if not near:
-            return contact
-        significant = significant_contact(self.mesh, contact)
-        if np.array_equal(significant, contact.pressure > 0.0):
-            return contact
-        return problem.solve_debiased(replace(selection, support=significant), touches)
+        if near:
+            significant = significant_contact(self.mesh, contact)
+            if not np.array_equal(significant, contact.pressure > 0.0):
+                contact = problem.solve_debiased(replace(selection, support=significant), touches)
+        return contact, touches
+
+    def _scaled(
+        self,
+        contact: ContactPressure,
+        touches: TouchRule,
+        friction: tuple[np.ndarray, np.ndarray],
+        scales: tuple[float, float],
+    ) -> tuple[ContactPressure, tuple[FrictionScale, FrictionScale]]:
+        """A contact with the scales of its slides and spins by evidence, and these scales.
+
+        While the same nodes are under pressure, the evidence does not depend on the scales that the
+        contact was solved with.
+        """
+        for _ in range(_MAX_SCALES):
+            nodes, problem = len(contact.nodes), contact.problem
+            slides, spins = (
+                friction_scale(
+                    contact.amplitudes[own],
+                    part(contact.covariance, nodes + own),
+                    self.friction,
+                    scale,
+                )
+                for own, scale in zip(friction, scales, strict=True)
+            )
+            if scales == (slides.value, spins.value):
+                break
+            scales = slides.value, spins.value
+            sigma = problem.measurements.nuisances.sigma.copy()
+            for own, scale in zip(friction, scales, strict=True):
+                sigma[own] = self.friction * scale
+            selection = Selection(
+                contact.support, contact.pivots, contact.converged, contact.complete
+            )
+            contact = problem.with_prior(sigma).solve_debiased(selection, touches)
+        return contact, (slides, spins)
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
         """Nodes (n,) bool that an image shows neither at the present shape nor at rest.

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -133,6 +134,13 @@ class Measurements:
     def nuisances_weighed(self) -> np.ndarray:
         """W R, (k, a)."""
         return self.weight[:, None] * self.by_nuisances
+
+    def with_prior(self, sigma: np.ndarray) -> Measurements:
+        """The same with other prior standard deviations (a,) of the amplitudes."""
+        other = copy(self)  # with its derivatives, which do not depend on them
+        other.__dict__.pop("nuisance_covariance", None)
+        object.__setattr__(other, "nuisances", replace(self.nuisances, sigma=sigma))
+        return other
 
     @cached_property
     def nuisance_covariance(self) -> np.ndarray:

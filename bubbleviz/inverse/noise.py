@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from bubbleviz.camera import UPPER_95
 
-_RATIO, MAX_NOISES = 1.1, 8
+_RATIO, _MAX_NOISES = 1.1, 8
 """Ratio of successive noise factors on the grid of those that frames are solved with, and how many
 are tried in a frame. Without a grid, the result would depend on the first one. Half a step is about
 a standard deviation: an image of correlated noise is worth some 650 samples, which determine it to
@@ -45,7 +45,7 @@ def noise_converged(updated: Noise, noise: Noise, earlier: list[Noise], apart: i
         _factor_converged(now, before, list(others), ratio, apart)
         for (now, before, others), ratio in zip(by_kind, (_RATIO, _FLOW_RATIO), strict=True)
     )
-    return len(earlier) + 1 >= MAX_NOISES or all(same)
+    return len(earlier) + 1 >= _MAX_NOISES or all(same)
 
 
 def _factor_converged(

@@ -1,4 +1,4 @@
-"""Frames whose noise factors or friction scales repeat: each leads to the other for ever."""
+"""Frames whose noise factors and supports could lead to each other for ever."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ import bubbleviz as bv
 from tests.inverse.test_rubber_estimator import depth_image_of, error, estimator, pressed
 
 
-def test_a_frame_is_solved_once_its_settings_repeat(monkeypatch):
-    """In this one they do, after nine steps; without the rule three more would follow."""
+def test_friction_scales_do_not_alternate(monkeypatch):
+    """In this frame two scales led to each other, step by step, until they were found together."""
     noise_m, (mesh, contact) = 5e-4, pressed("cylinder", 0.007)
     solver = estimator(relative=noise_m / 0.065)
     image, shapes = depth_image_of(mesh, contact.displacement_3d_m, noise_m), []
@@ -20,7 +20,7 @@ def test_a_frame_is_solved_once_its_settings_repeat(monkeypatch):
 
     monkeypatch.setattr(solver.observer, "around", counted)
     estimate, start = solver.estimate(image)
-    assert len(shapes) < 10
+    assert len(shapes) < 6
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.03
     again, _ = solver.estimate(image, start=start)
     assert error(again, estimate.force_n) < 0.01

@@ -15,6 +15,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, Press, TruthBank, noise_name
 from bubbleviz.study.accuracy import Grid, specimen
+from bubbleviz.zeros import zeros_of
 
 PATCH = frozenset({"patch"})
 LARGEST_CHANGE = 0.03
@@ -134,6 +135,24 @@ def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(punyo_press):
     pipeline.restart()
     pipeline.process(first, PATCH)
     assert force_of(pipeline.process(frame, PATCH)) == pytest.approx(alone, rel=0.01)
+
+
+def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
+    """Alone, after its predecessor or successor, and again from its own solution."""
+    with Recording(punyo_press) as recording:
+        pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), recording.intrinsics)
+        zeros = zeros_of(recording, pipeline)
+        frames = {k: zeros.applied(recording[k]) for k in range(61, 68)}
+
+    def found(*way):
+        pipeline.restart()
+        return [pipeline.process(frames[k], PATCH) for k in way][-1]
+
+    for k in range(62, 67):
+        ways = [found(k), found(k - 1, k), found(k + 1, k), found(k, k), found(k, k, k, k)]
+        forces, own = [force_of(each) for each in ways], ways[0].estimate.force_n
+        sigma = np.sqrt(own @ ways[0].estimate.wrench_covariance[:3, :3] @ own) / forces[0]
+        assert max(forces) - min(forces) < max(0.01 * forces[0], 0.25 * sigma)
 
 
 def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
