@@ -293,7 +293,7 @@ class Estimator:
     def _report(self, answer: SolvedFrame) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
         moved = state.x - self.mesh.nodes
-        force = self._newton.nodal_force(state)
+        force = state.nodal_force
         return Estimate(
             status="ok" if answer.touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),

@@ -75,6 +75,8 @@ class State:
         Amplitudes of `IMAGE_ERRORS`, m, m, m and 1.
     balanced : bool
         Whether the shape is in equilibrium under these.
+    area_vectors : (n, 3) array
+        Of the nodes at the shape, m².
     """
 
     x: np.ndarray
@@ -84,6 +86,12 @@ class State:
     friction: np.ndarray
     image_errors: np.ndarray
     balanced: bool
+    area_vectors: np.ndarray
+
+    @property
+    def nodal_force(self) -> np.ndarray:
+        """Force of the contact on the nodes, (n, 3), N."""
+        return self.friction - self.pressure[:, None] * self.area_vectors
 
 
 @dataclass(frozen=True)
@@ -197,7 +205,8 @@ class GaussNewton:
         rest = self.mesh.nodes
         nothing = np.zeros(len(rest))
         image = self.image_prior.mean
-        self.rest = State(rest, nothing, nothing > 0.0, 0.0, np.zeros_like(rest), image, True)
+        still, vectors = np.zeros_like(rest), bubble.area_vectors(rest)
+        self.rest = State(rest, nothing, nothing > 0.0, 0.0, still, image, True, vectors)
         self._rest_tangent = {
             measured: bubble.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
@@ -237,10 +246,6 @@ class GaussNewton:
         measured_m = observation.residual_m[view.block] - errors_m @ prior.mean
         flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
         return LinearisedFrame(view, observation, measured_m, errors_m @ prior.units, prior, flow)
-
-    def nodal_force(self, state: State) -> np.ndarray:
-        """Force of the contact on the nodes, (n, 3), N."""
-        return state.friction - state.pressure[:, None] * self.bubble.area_vectors(state.x)
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
@@ -522,8 +527,8 @@ class GaussNewton:
             x = linear
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
-        after = State(x, pressure, contact.support, inside, friction, image_errors, balanced)
-        return after, tangent
+        reached = image_errors, balanced, self.bubble.area_vectors(x)
+        return State(x, pressure, contact.support, inside, friction, *reached), tangent
 
     def tangent_at(
         self, state: State, gas: float | None, last: Tangent | None = None, step_m: float = 0.0

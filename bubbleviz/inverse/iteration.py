@@ -188,7 +188,7 @@ class Iteration:
         self._steps = self._large_steps = self._stalled = self._settling = 0
         self._best_misfit, self._motion_m, self._solve_ms = np.inf, 0.0, 0.0
         self._normal_motion_m = 0.0
-        self._force_n = newton.nodal_force(self._state).sum(axis=0)
+        self._force_n = self._state.nodal_force.sum(axis=0)
         self._force_change_n = np.zeros(3)
 
     def solve(self) -> SolvedFrame | Status:
@@ -283,7 +283,7 @@ class Iteration:
         self._state, self._view, self._tangent = step.state, observed.view, step.last_tangent
         self._solve_ms += step.solve_ms
         self._motion_m, self._normal_motion_m = step.motion_m, step.normal_motion_m
-        force_n = self._newton.nodal_force(step.state).sum(axis=0)
+        force_n = step.state.nodal_force.sum(axis=0)
         self._force_n, self._force_change_n = force_n, force_n - self._force_n
         self._friction_scales = step.scales
         self._large_steps += self._selecting and self._large and step.motion_m < self._cut_m
@@ -321,21 +321,18 @@ class Iteration:
         if observed.flow is not None and following.flow is not None:
             beyond_flow = following.flow.error_px - observed.flow.after(step.motion)
             beyond = np.concatenate([beyond, beyond_flow])
-        return self._is_small(step, change_by(step, beyond) @ self._unit_forces(step))
+        unit = unit_wrenches(step, step.contact.nodes)[:, :3]
+        return self._is_small(step, change_by(step, beyond) @ unit)
 
     def _is_small(self, step: Step, change_n: np.ndarray) -> bool:
         """Whether a change (3,) of the force of a step is small beside its deviation."""
         nodes = step.contact.nodes
         if not len(nodes):
             return not change_n.any()
-        variance = np.diag(step.contact.problem.covariance_of(nodes, self._unit_forces(step)))
+        unit = unit_wrenches(step, nodes)[:, :3]
+        variance = np.diag(step.contact.problem.covariance_of(nodes, unit))
         variance = variance + MODEL_ERROR**2 * (self._force_n @ self._force_n)
         return bool((change_n**2 <= _CONVERGED_FORCE**2 * variance).all())
-
-    def _unit_forces(self, step: Step) -> np.ndarray:
-        """Force for unit pressures and amplitudes of a step, (s + a, 3)."""
-        nodes, touching = step.contact.nodes, step.contact.pressure > 0.0
-        return unit_wrenches(self._newton.bubble, step, touching, nodes)[:, :3]
 
     def _update_noise(
         self, step: Step, observed: LinearisedFrame, converged: bool, searched: bool
@@ -398,7 +395,6 @@ class Iteration:
             observer.misfit(observed.observation, view.block, step.residual_m),
             newton.contradicts(step.state.gas, self._data.gas_pa),
             wrench_covariance(
-                newton.bubble,
                 step,
                 newton.friction * ~by_flow,
                 [each.spread for each in step.friction_scales],

@@ -8,7 +8,7 @@ import numpy as np
 
 from bubbleviz.inverse.gauss_newton import Step
 from bubbleviz.inverse.pivoting import part
-from bubbleviz.inverse.response import Bubble
+from bubbleviz.membrane import cross
 from bubbleviz.result import wrench_about
 
 MODEL_ERROR = 0.02
@@ -19,7 +19,6 @@ once; of frictionless presses by 1.4 % at most."""
 
 
 def wrench_covariance(
-    bubble: Bubble,
     step: Step,
     friction: np.ndarray,
     spreads: Sequence[np.ndarray],
@@ -30,7 +29,6 @@ def wrench_covariance(
 
     Parameters
     ----------
-    bubble : Bubble
     step : Step
         The last one of the frame.
     friction : (n,) array
@@ -38,22 +36,21 @@ def wrench_covariance(
     spreads : two (q, q) arrays
         What the unknown scale of their prior adds to the covariances of slides, and of spins.
     """
-    nodes, problem, contact = step.contact.nodes, step.contact.problem, step.contact.pressure > 0.0
+    nodes, problem = step.contact.nodes, step.contact.problem
     if not len(nodes):
         return np.zeros((6, 6))
-    unit = unit_wrenches(bubble, step, contact, nodes)
+    unit = unit_wrenches(step, nodes)
     by_material = [
         change_by(step, step.measurements.jacobian @ motion) @ unit
         for motion in step.tangent.by_material(step.state.x).T
     ]
     unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
-    push = step.contact.pressure[:, None] * bubble.area_vectors(step.state.x)
+    push = step.contact.pressure[:, None] * step.state.area_vectors
     model = _model_covariance(step.state.x, push, unknowns @ unit, friction)
     for own, spread in zip(step.friction, spreads, strict=True):
         model += _by_friction(step, unit, own, spread)
-    near = problem.with_neighbours(contact)
-    around = np.flatnonzero(near)
-    unit = unit_wrenches(bubble, step, near, around)
+    around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
+    unit = unit_wrenches(step, around)
     covariance = model + problem.covariance_of(around, unit)
     for change in by_material:
         covariance += np.outer(change, change)
@@ -80,16 +77,15 @@ def change_by(step: Step, measured: np.ndarray) -> np.ndarray:
     return change
 
 
-def unit_wrenches(bubble: Bubble, step: Step, counted: np.ndarray, nodes: np.ndarray) -> np.ndarray:
-    """Force, and torque about the origin of B, on the nodes `counted` (n,) bool, (s + a, 6).
+def unit_wrenches(step: Step, nodes: np.ndarray) -> np.ndarray:
+    """Force, and torque about the origin of B, on nodes (s,), (s + a, 6).
 
-    For unit pressures of nodes (s,) and unit amplitudes.
+    For unit pressures of these nodes, and unit amplitudes.
     """
-    x, push = step.state.x, -bubble.area_vectors(step.state.x) * counted[:, None]
-    nuisances = step.measurements.nuisances
-    loads, at = nuisances.forces[counted].swapaxes(1, 2), x[counted][:, None]
-    by_pressures = np.hstack([push[nodes], np.cross(x[nodes], push[nodes])])
-    by_amplitudes = np.hstack([loads.sum(axis=0), np.cross(at, loads).sum(axis=0)])
+    nuisances, x, push = step.measurements.nuisances, step.state.x, -step.state.area_vectors[nodes]
+    loads, at = nuisances.forces[nodes].swapaxes(1, 2), x[nodes]
+    by_pressures = np.hstack([push, cross(at, push)])
+    by_amplitudes = np.hstack([loads.sum(axis=0), cross(at[:, None], loads).sum(axis=0)])
     of_image = np.zeros((nuisances.errors.shape[1], 6))  # errors of it are no forces
     return np.concatenate([by_pressures, by_amplitudes, of_image])
 
@@ -106,7 +102,7 @@ def _model_covariance(
     """
     load = np.linalg.norm(push, axis=1)
     center, normal = load @ x / load.sum(), push.sum(axis=0) / np.linalg.norm(push.sum(axis=0))
-    arm = np.linalg.norm(np.cross(x - center, normal), axis=1)
+    arm = np.linalg.norm(cross(x - center, normal), axis=1)
     unknown = friction * load
     spin = np.sqrt((unknown @ arm**2) * unknown.sum())
     size = np.linalg.norm((wrench_about(center) @ wrench).reshape(2, 3), axis=1)

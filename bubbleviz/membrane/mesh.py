@@ -164,11 +164,11 @@ def area_vectors(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products of rows, (m, 3); several times faster than `np.cross`."""
-    out = np.empty_like(a)
+    """Cross products along the last axis, (…, 3); several times faster than `np.cross`."""
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
-        out[:, k] = a[:, i] * b[:, j] - a[:, j] * b[:, i]
+        out[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
     return out
 
 
