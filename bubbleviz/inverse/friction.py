@@ -90,8 +90,8 @@ def friction_scale(
     evidence[0] += np.log(len(_SCALES) - 1.0)
     weight = _normalised(evidence)
     chosen = int(np.argmin(np.abs(determined[:-1] - weight @ determined[:-1])))
-    deviations, variance = solutions[:-1] - solutions[-1], 1.0 / (data + prior)
-    more = np.maximum(equal @ variance[:-1] - variance[-1], 0.0)
+    deviations, variance = solutions[:-1] - solutions[chosen], 1.0 / (data + prior[:-1])
+    more = np.maximum(equal @ variance - variance[chosen], 0.0)
     spread = axes @ (np.diag(more) + (deviations.T * equal) @ deviations) @ axes.T
     return FrictionScale(float(_SCALES[chosen]), spread)
 

@@ -424,11 +424,11 @@ class GaussNewton:
         contact was solved with.
         """
         for _ in range(_MAX_SCALES):
-            nodes, problem = len(contact.nodes), contact.problem
+            nodes, problem = contact.nodes, contact.problem
             slides, spins = (
                 friction_scale(
                     contact.amplitudes[own],
-                    part(contact.covariance, nodes + own),
+                    part(contact.covariance, len(nodes) + own),
                     self.friction,
                     scale,
                 )
@@ -444,6 +444,8 @@ class GaussNewton:
                 contact.support, contact.pivots, contact.converged, contact.complete
             )
             contact = problem.with_prior(sigma).solve_debiased(selection, touches)
+            if np.array_equal(contact.nodes, nodes):
+                break
         return contact, (slides, spins)
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:

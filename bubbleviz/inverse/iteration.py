@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -175,8 +175,8 @@ class Iteration:
         self._warm = start.state is not None
         self._state, self._view = start.state or newton.rest, start.view
         self._tangent = start.tangent
-        self._noise = start.noise
         self._friction_scales = start.friction_scales if self._warm else WIDEST
+        self._noise = self._own_noise = start.noise  # the latter: by the residual of the last step
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
         self._raised: list[Noise] = []  # factors that a step before convergence was raised from
         self._near = self._warm  # the errors of the linearisation are small
@@ -228,11 +228,12 @@ class Iteration:
             )
             if step is None:
                 break
+            before = self._state
             self._take(step, observed)
             converged = self._has_converged(step, observed, first, fit_image)
             searched = rounds > 0 or no_contact or bool(step.contact.pressure.any())
             if self._update_noise(step, observed, converged, searched):
-                return self._result(step, observed)
+                return self._result(self._at_own_noise(step, before, observed, fit_image), observed)
             if not converged and self._large_steps == _MAX_LARGE_STEPS:
                 break
         implausible = self._stalled == _MAX_STALLED or self._noise.ranges > IMPLAUSIBLE_MISFIT
@@ -351,6 +352,7 @@ class Iteration:
             updated = self._newton.updated_noise(
                 step, observed, self._noise, self._image_shows_rest
             )
+            self._own_noise = updated
             # By flow it begins far too large where depth alone has hardly found a twist.
             follows = self._warm and self._data.flow is None
             known = noise_converged(updated, self._noise, self._noises, int(follows))
@@ -367,6 +369,33 @@ class Iteration:
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
+
+    def _at_own_noise(
+        self, step: Step, before: State, observed: LinearisedFrame, fit_image: bool
+    ) -> Step:
+        """The last step from the state `before`, at the noise factor of its own residual.
+
+        A frame that follows another one may have been solved with a neighbouring factor. On the
+        same support that changes little, but without it areas of a frame that is reached in other
+        ways differ by up to 4 %, with it by 3 %.
+        """
+        kept = self._own_noise in (self._noise, *self._noises) or self._data.flow is not None
+        if kept or not step.contact.pressure.any():
+            return step
+        again = self._newton.step(
+            step.tangent,
+            replace(before, support=step.contact.support),
+            observed,
+            self._data.gas_pa,
+            self._own_noise,
+            0,
+            fit_image,
+            self._friction_scales,
+        )
+        if again is None or not again.state.balanced:
+            return step
+        self._noise = self._own_noise
+        return again
 
     def _unrepeated(self, updated: Noise) -> Noise:
         """Noise factors after a step before convergence, but none already raised from twice.
