@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +17,7 @@ from bubbleviz.pose.motion import (
     SEARCH_DEVIATION,
     START_INFORMATION,
     Motion,
+    about,
     motion_between,
     moved,
     way_at,
@@ -50,13 +51,14 @@ class Solution:
         """Convert to the public result."""
         found = directions(self.pose.surface, contact.radius_m)
         on, count = self.pose.distance, len(contact.points)
+        here = about(self.motion.center, contact.center)
         return Pose(
             status="ok",
             T_B_O=self.pose.T_B_O,
             stage_one=_stage(self.first, self.ms[0]),
             stage_two=_stage(self.pose, self.ms[1]),
             center_m=contact.center,
-            covariance=self.motion.covariance[:6, :6] + self.persistent,
+            covariance=here @ (self.motion.covariance[:6, :6] + self.persistent) @ here.T,
             motions=found.motions,
             deviation_m=found.deviation_m,
             determined=found.determined,
@@ -151,15 +153,17 @@ class Solver:
             T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
         change = self._estimator.observer.pixel_residuals(frame.steady_depth_m)
         valid_m = self._image.valid_m if tracking else options.converged_m
+        self._image.follow(contact, frame.gas_pressure_pa)
         for k in range(options.next_steps if tracking else options.first_steps):
+            from_predicted = motion_between(predicted.T_B_O, T, contact.center)
+            center = contact.center + from_predicted[:3]
             step = self._image.step(
-                change, contact, T, directed, predicted.information,
+                change, replace(contact, center=center), T, directed, predicted.information,
                 valid_m=valid_m if k or not tracking else options.step_m,
                 gas_pressure_pa=frame.gas_pressure_pa,
             )  # fmt: skip
             if step is None:
                 return None
-            from_predicted = motion_between(predicted.T_B_O, T, center)
             if tracking:
                 at_predicted = step.gradient + step.information @ from_predicted
                 predicted = predicted.widened(at_predicted, step.information)

@@ -6,9 +6,10 @@ it does; and the contact follows from the model of the membrane, not from a thre
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
@@ -32,26 +33,49 @@ class ImageStep:
 class PredictedImage:
     """Predicted depth image, linear around a pose."""
 
-    T_B_O: np.ndarray  # (4, 4)
-    center: np.ndarray  # (3,)
     pixel: np.ndarray  # (b, e) int, the compared groups of e pixels among the observer's
     expected_m: np.ndarray  # (b,), their mean residuals at the pose, as of `RangeObserver`
-    jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the centre
+    jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the press's centre
     on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
     area_m2: float  # of the membrane in these pixels
+    press: Press
+    by_nodes: sparse.csr_array  # (b, 3k), derivatives of the residuals by motions of its nodes
+    # motion of a node, at most, by friction and gas pressure since the press, and of the residuals
+    by_loads_m: float = 0.0
+    change_m: np.ndarray | float = 0.0  # (b,)
+
+    def under(self, contact: ContactPoints, gas_pressure_pa: float | None) -> PredictedImage:
+        """The same under the friction and gas pressure of another frame."""
+        motion = self.press.motion_by(contact, gas_pressure_pa)
+        change_m = self.by_nodes @ motion.ravel()
+        return replace(self, by_loads_m=float(np.abs(motion).max()), change_m=change_m)
 
     def at(self, T_B_O: np.ndarray) -> np.ndarray:
         """Expected residuals at a nearby pose, (b,)."""
-        return self.expected_m + self.jacobian @ motion_between(self.T_B_O, T_B_O, self.center)
+        return self.expected_m + self.change_m + self.jacobian @ self._motion_to(T_B_O)
+
+    def slopes_at(self, T_B_O: np.ndarray, center: np.ndarray) -> np.ndarray:
+        """Derivatives (b, 6) there by small motions about a centre (3,).
+
+        They move along with the object, as does the axis about which a round one spins in itself.
+        """
+        return self.jacobian @ about(center, self.press.center + self._motion_to(T_B_O)[:3])
+
+    def way_m(self, T_B_O: np.ndarray, radius_m: float) -> float:
+        """Upper bound of the motion of a patch's edge since the press, but for spins in itself."""
+        return way_at(radius_m, self.press.seen @ self._motion_to(T_B_O)) + self.by_loads_m
 
     def error_of(self, before: PredictedImage) -> np.ndarray:
         """Error (b,) of an earlier linear model at this pose; 0 in groups that it does not have."""
         groups = self.pixel[:, 0], before.pixel[:, 0]
         _, own, others = np.intersect1d(*groups, assume_unique=True, return_indices=True)
         error = np.zeros(len(self.pixel))
-        error[own] = self.expected_m[own] - before.at(self.T_B_O)[others]
+        error[own] = self.expected_m[own] - before.at(self.press.T_B_O)[others]
         return error
+
+    def _motion_to(self, T_B_O: np.ndarray) -> np.ndarray:
+        return motion_between(self.press.T_B_O, T_B_O, self.press.center)
 
 
 class ImageFit:
@@ -83,6 +107,11 @@ class ImageFit:
         self.valid_m = self._options.valid_m
         self._pressed.reset()
 
+    def follow(self, contact: ContactPoints, gas_pressure_pa: float | None) -> None:
+        """Bring the linear model of the previous frame to the loads of another one."""
+        if self._predicted is not None:
+            self._predicted = self._predicted.under(contact, gas_pressure_pa)
+
     def step(
         self,
         change_m: np.ndarray,  # (k,), `RangeObserver.pixel_residuals` of the depth image
@@ -111,7 +140,7 @@ class ImageFit:
         residual = np.nansum(change, axis=1) / np.maximum(count, 1) - predicted.at(T_B_O)
         valid = count > 0
         residual = residual[valid]
-        J = predicted.jacobian[valid] @ about(contact.center, predicted.center)
+        J = predicted.slopes_at(T_B_O, contact.center)[valid]
         off = J @ directions.motions[:, directions.determined]
         off[predicted.on_face[valid]] = 0.0
         off = np.column_stack([off, predicted.rounding[valid]])
@@ -127,14 +156,14 @@ class ImageFit:
         per_m4 = float(weight.sum()) / predicted.area_m2
         persistent = np.linalg.inv(information + START_INFORMATION)
         persistent *= per_m4 / self._precision.of_model
-        if before is not None and predicted is not before:
+        if before is not None and before is not predicted:
             pushed = J.T @ (weight * predicted.error_of(before)[valid])
             pushed = pushed[:6] - gain @ pushed[6:]
             by_frame = np.linalg.inv(information + known)
             error = by_frame @ pushed
             squared = float(error @ np.linalg.solve(by_frame + persistent, error))
-            between = motion_between(before.T_B_O, predicted.T_B_O, contact.center)
-            self._adapt_range(way_at(contact.radius_m, between), squared)
+            way_m = before.way_m(predicted.press.T_B_O, contact.radius_m)
+            self._adapt_range(way_m, squared)
         return ImageStep(information, g, persistent)
 
     def _adapt_range(self, way_m: float, squared: float) -> None:
@@ -178,7 +207,9 @@ class ImageFit:
         return self._predicted
 
     def covers(self, T_B_O: np.ndarray, contact: ContactPoints, valid_m: float) -> bool:
-        """Whether the last press was made within a motion of the patch's edge from a pose."""
+        """Whether the patch's edge has moved less than `valid_m` since the last press."""
+        if self._predicted is not None:
+            return self._predicted.way_m(T_B_O, contact.radius_m) < valid_m
         if self._pressed_at is None:
             return False
         way = motion_between(self._pressed_at, T_B_O, contact.center)
@@ -199,15 +230,16 @@ class ImageFit:
         values = hits.barycentric[:, :, None] * caster.slopes(press.nodes, hits)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
-        J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
+        by_nodes = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1])
+        J = by_nodes @ slopes.T
         vectors = area_vectors(press.nodes, mesh.triangles[np.unique(hits.triangle)])
         return PredictedImage(
-            T_B_O=press.T_B_O,
-            center=press.center,
             pixel=pixel,
             expected_m=hits.range_m - self._rest_m[pixel].mean(axis=1),
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
             area_m2=float(np.linalg.norm(vectors, axis=1).sum()),
+            press=press,
+            by_nodes=by_nodes,
         )

@@ -95,7 +95,11 @@ _MAX_COAST_S = 0.5  # longest time to coast: motion is not known further ahead
 
 @dataclass(frozen=True)
 class Motion:
-    """Pose and velocity, with their covariance."""
+    """Pose and velocity, with their covariance.
+
+    The centre moves along with the object, so that what is unknown, as a ball's turn about its own
+    centre, stays the same motion of the object wherever it goes.
+    """
 
     T_B_O: np.ndarray  # (4, 4)
     velocity: np.ndarray  # (6,), in B about `center`, m/s and rad/s
@@ -130,8 +134,9 @@ class Motion:
         noise[index, index] = gain[:6] ** 2
         noise[index + 6, index + 6] = gain[6:] ** 2
         noise[index, index + 6] = noise[index + 6, index] = gain[:6] * gain[6:]
-        T = moved(self.T_B_O, dt * self.velocity, self.center)
-        return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, self.center)
+        motion = dt * self.velocity
+        T, center = moved(self.T_B_O, motion, self.center), self.center + motion[:3]
+        return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, center)
 
     def widened(self, gradient: np.ndarray, information: np.ndarray) -> Motion:
         """With its covariance P multiplied by the most likely factor of at least 1.
@@ -147,12 +152,16 @@ class Motion:
         return replace(self, covariance=factor * self.covariance)
 
     def corrected(self, T_B_O: np.ndarray, information: np.ndarray) -> Motion:
-        """Update by a frame whose information (6, 6) moved the pose estimate to `T_B_O`."""
-        P = self.covariance
+        """Update by a frame whose information (6, 6) moved the pose estimate to `T_B_O`.
+
+        It is about the centre as it has moved.
+        """
+        P, motion = self.covariance, motion_between(self.T_B_O, T_B_O, self.center)
         gain = np.linalg.solve(P[:6, :6], P[:6, 6:]).T
         posterior = np.linalg.inv(self.information + information)
-        velocity = self.velocity + gain @ motion_between(self.T_B_O, T_B_O, self.center)
+        velocity = self.velocity + gain @ motion
         cross = gain @ posterior
         own = P[6:, 6:] - gain @ (P[:6, :6] - posterior) @ gain.T
         covariance = np.block([[posterior, cross.T], [cross, own]])
-        return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), self.center)
+        center = self.center + motion[:3]
+        return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), center)

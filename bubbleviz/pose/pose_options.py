@@ -43,7 +43,8 @@ class PressOptions:
 class ImageOptions:
     """How the pose is fitted to the depth image."""
 
-    press: PressOptions = PressOptions()
+    # a Newton step of 0.5 mm leaves its square over the size of a triangle: less than 0.1 mm
+    press: PressOptions = PressOptions(converged_m=5e-4)
     # distance around the patch in which pixels are compared; the membrane further away hardly moves
     around_m: float = 8e-3
     max_pixels: int = 6_000  # beyond, as many groups of neighbours are averaged
@@ -71,4 +72,4 @@ class ImageOptions:
     # first_steps, next_steps: maximum number of steps in a first and in later frames, where the
     # first one uses the last linear model, and a press follows only if the pose leaves its range
     first_steps: int = 10
-    next_steps: int = 2
+    next_steps: int = 3

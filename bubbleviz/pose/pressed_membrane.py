@@ -4,7 +4,8 @@ Points of the object that are inside the membrane push it outward:
 
     ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j + t,   f_j = k_j × depth of point j.
 
-Friction t is that of the estimate. Its change by the object's motion is not part of the derivative.
+Friction t is that of the estimate. Its change by the object's motion is not part of the derivative,
+but a linear model follows the friction of later estimates by the same tangent.
 
 Newton's method from the membrane of the last pose, in a `Submodel` around the contact; the last
 tangent also gives the derivative by the object's motion. An edge that moves over the membrane takes
@@ -14,6 +15,7 @@ its load along, so that sliding of a flat face in its own plane is observable.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -238,6 +240,18 @@ def _sum_at_nodes(corners: np.ndarray, shares: np.ndarray, count: int) -> np.nda
     return np.stack(sums, axis=1)
 
 
+class _Loads(NamedTuple):
+    """Of a part of the membrane, beside the object's."""
+
+    friction_n: np.ndarray  # (k, 3), of the estimate, on each node
+    gas_pa: float  # measured absolute pressure; NaN: by the gas law
+
+    @classmethod
+    def of(cls, part: Submodel, contact: ContactPoints, gas_pressure_pa: float | None) -> _Loads:
+        friction_n = midway(contact.friction_pa, part.ends) * part.mesh.areas[:, None]
+        return cls(friction_n, np.nan if gas_pressure_pa is None else gas_pressure_pa)
+
+
 @dataclass(frozen=True)
 class Press:
     """An object pressed into the membrane."""
@@ -248,9 +262,20 @@ class Press:
     nodes: np.ndarray  # (k, 3), of that part
     # (6, k, 3), their derivatives by small motions of the object in B about the centre
     slopes: np.ndarray
+    seen: np.ndarray  # (6, 6), takes such a motion to the same without spins in itself
     rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
     push_n: np.ndarray  # (k, 3), force of the object on each node
     on_face: np.ndarray  # (m,) bool, triangles that touch faces of the object, and no edge
+    tangent: Tangent
+    loads: _Loads
+
+    def motion_by(self, contact: ContactPoints, gas_pressure_pa: float | None) -> np.ndarray:
+        """Motion (k, 3) of the nodes by the change of friction and measured gas pressure since."""
+        now, before = _Loads.of(self.part, contact, gas_pressure_pa), self.loads
+        forces, change_pa = now.friction_n - before.friction_n, now.gas_pa - before.gas_pa
+        if np.isfinite(change_pa):
+            forces[self.tangent.moving] += change_pa * self.tangent.gas.reshape(-1, 3)
+        return self.tangent.moved(forces[None])[0]
 
 
 class PressedMembrane:
@@ -283,21 +308,18 @@ class PressedMembrane:
         gas_pressure_pa: float | None = None,  # absolute; default: by the gas law
     ) -> Press | None:
         """Press the object at a pose (4, 4); None if no equilibrium is found."""
-        gas: Gas | HeldPressure = self._gas
-        if gas_pressure_pa is not None and np.isfinite(gas_pressure_pa):
-            gas = HeldPressure(gas_pressure_pa - self._gas.P0)
         part = self._around(contact)
-        friction = midway(contact.friction_pa, part.ends) * part.mesh.areas[:, None]
+        loads = _Loads.of(part, contact, gas_pressure_pa)
         if self._last is not None:
             motion = motion_between(self._last.T_B_O, T_B_O, self._last.center)
             step = self._limited(np.einsum("q,qni->ni", motion, self._last.slopes))
             start = self._last.nodes + step
-            self._last = self._solve(part, start, T_B_O, contact, friction, gas)
+            self._last = self._solve(part, start, T_B_O, contact, loads)
         if self._last is None:
             self._object.reset()
             estimated = midway(contact.membrane, part.ends)
             start = np.where(part.mesh.rim[:, None], part.mesh.nodes, estimated)
-            self._last = self._solve(part, start, T_B_O, contact, friction, gas)
+            self._last = self._solve(part, start, T_B_O, contact, loads)
         return self._last
 
     def _around(self, contact: ContactPoints) -> Submodel:
@@ -318,19 +340,19 @@ class PressedMembrane:
         x: np.ndarray,
         T_B_O: np.ndarray,
         contact: ContactPoints,
-        friction: np.ndarray,
-        gas: Gas | HeldPressure,
+        loads: _Loads,
     ) -> Press | None:
-        """Newton's method from nodes x (k, 3), under friction (k, 3) on them."""
-        triangles = part.mesh.triangles
+        """Newton's method from nodes x (k, 3)."""
+        measured = np.isfinite(loads.gas_pa)
+        gas = HeldPressure(loads.gas_pa - self._gas.P0) if measured else self._gas
         for _ in range(self._options.max_steps):
             if not np.isfinite(x).all():
                 return None
-            touching = self._object.touching(x, triangles, T_B_O)
-            push = touching.push(len(x))
+            touching = self._object.touching(x, part.mesh.triangles, T_B_O)
+            forces = touching.push(len(x)) + loads.friction_n
             try:
                 tangent, missed = part.linearised(
-                    x, push + friction, touching.corners, touching.stiffness(), gas
+                    x, forces, touching.corners, touching.stiffness(), gas
                 )
             except RuntimeError:  # singular
                 return None
@@ -338,7 +360,7 @@ class PressedMembrane:
             self._object.expect(touching, step)
             x = x + step
             if np.abs(step).max() < self._options.converged_m:
-                return _pressed(part, x, T_B_O, contact, touching, tangent)
+                return _pressed(part, x, T_B_O, contact, touching, tangent, loads)
         return None
 
     def _limited(self, step: np.ndarray) -> np.ndarray:
@@ -351,6 +373,8 @@ _SLIDING = np.sin(np.radians(1.0))
 """Share of a motion across the object's surface, root mean square over the contact, below which the
 surface slides in itself: normals interpolated between facets are known no better."""
 
+_TURNING = 0.3  # least rotation of a spin, relative to that of others, as for `open_axes`
+
 
 def _pressed(
     part: Submodel,
@@ -359,6 +383,7 @@ def _pressed(
     contact: ContactPoints,
     touching: Touching,
     tangent: Tangent,
+    loads: _Loads,
 ) -> Press:
     n, center, triangles = len(x), contact.center, part.mesh.triangles
     unit, arms = np.eye(3), touching.points - center
@@ -374,6 +399,19 @@ def _pressed(
     # not: nor does the membrane.
     across = np.concatenate([rows(face, touching.points, center) for face in touching.faces])
     found = directions(across.T @ across / max(len(across), 1), contact.radius_m)
-    seen = found.motions * (_SLIDING * found.deviation_m < 1.0) @ np.linalg.inv(found.motions)
-    own = np.einsum("pq,pni->qni", seen, slopes[:6])
-    return Press(T_B_O, center, part, x, own, slopes[6], touching.push(n), on_face)
+    spins = found.motions[:, _SLIDING * found.deviation_m >= 1.0]
+    seen = np.eye(6)
+    seen[:, 3:] -= spins @ np.linalg.pinv(spins[3:], rcond=_TURNING)
+    return Press(
+        T_B_O=T_B_O,
+        center=center,
+        part=part,
+        nodes=x,
+        slopes=np.einsum("pq,pni->qni", seen, slopes[:6]),
+        seen=seen,
+        rounding=slopes[6],
+        push_n=touching.push(n),
+        on_face=on_face,
+        tangent=tangent,
+        loads=loads,
+    )

@@ -239,7 +239,7 @@ class _Bench:
         image = None if contact is None else fit.predicted(true.T_B_O, contact)
         if image is None:
             return true
-        J = image.jacobian @ about(true.center, image.center)
+        J = image.jacobian @ about(true.center, image.press.center)
         sigma = self._grid.noise_relative * float(np.nanmedian(simulated.range_m))
         return replace(
             true, directions=directions(image.pixel.shape[1] / sigma**2 * J.T @ J, true.radius_m)

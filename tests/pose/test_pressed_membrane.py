@@ -324,12 +324,14 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
     expected = H[:6, :6] - np.outer(H[:6, 6], H[6, :6]) / H[6, 6]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(step.information / scale, expected / scale, atol=0.05)
-    lever = contact.center - found.center  # `way` is about the image's centre, a step the patch's
+    lever = (
+        contact.center - found.press.center
+    )  # `way` is about the image's centre, a step the patch's
     here = np.concatenate([way[:3] + np.cross(way[3:], lever), way[3:]])
     change[pixel] += options.rounding_m * found.rounding
     further_back = fit.step(change, contact, pose(), every, weak, valid_m=1e-3)
     for each in (step, further_back):
-        off = np.linalg.solve(each.information, each.gradient) - here
+        off = np.linalg.pinv(each.information, hermitian=True) @ each.gradient - here  # no spin
         assert off @ each.information @ off < 4.0  # χ² of 6, of which the image is trusted with 0.3
 
 
@@ -346,7 +348,7 @@ def test_noise_of_many_pixels_averages_out(pipeline, rubber, contact, image):
     off = []
     for each in (image[0], fit):
         step = each.step(change, contact, pose(), every, 1e-6 * np.eye(6), valid_m=1e-3)
-        off.append(np.linalg.solve(step.information, step.gradient))
+        off.append(np.linalg.pinv(step.information, hermitian=True) @ step.gradient)  # no spin
     apart = off[1] - off[0]
     assert apart @ step.information @ apart < 1.0  # by one pixel of each group some ten
 
@@ -366,6 +368,38 @@ def test_linear_model_is_used_while_its_error_is_below_noise(pipeline, rubber, c
             fit.step(change, contact, T, every, 1e-6 * np.eye(6), valid_m=0.0)
         served.append(fit.valid_m)
     assert served[1] > 1.1 * served[0]
+
+
+@pytest.mark.parametrize(("drag_n", "gas_pa", "share"), [(0.1, 0.0, 0.4), (0.0, 100.0, 0.1)])
+def test_linear_model_follows_friction_and_gas(pipeline, rubber, contact, drag_n, gas_pa, share):
+    """Without another press the image is nearly that of a press under the loads of now."""
+    fit, fresh = (image_fit(pipeline, pressed(pipeline, rubber, "sphere")) for _ in range(2))
+    gas = pipeline.estimator.bubble.gas.P0 + 500.0
+    at_first = fit.predicted(pose(), contact, gas).at(pose())
+    touched = np.linalg.norm(contact.membrane - contact.center, axis=1) < 0.01
+    drag = touched[:, None] * [drag_n / pipeline.mesh.areas[touched].sum(), 0.0, 0.0]
+    now = replace(contact, friction_pa=drag)
+    expected = fresh.predicted(pose(), now, gas + gas_pa).at(pose())
+    fit.follow(now, gas + gas_pa)
+    assert fit.covers(pose(), now, 1e-2)
+    off = fit.predicted(pose(), now, gas + gas_pa, valid_m=1e-2).at(pose()) - expected
+    assert np.abs(expected - at_first).max() > 5e-5
+    assert np.linalg.norm(off) < share * np.linalg.norm(expected - at_first)
+    assert not fit.covers(pose(), now, 1e-4)  # the membrane has moved further
+
+
+def test_linear_model_of_a_ball_moves_with_it(pipeline, rubber, contact):
+    """Its spin, about where the centre is now, moves no membrane and needs no other press."""
+    fit, middle = image_fit(pipeline, pressed(pipeline, rubber, "sphere")), [0.0, 0.0, 0.015]
+    image = fit.predicted(pose(), contact)
+    there = moved(pose(), np.array([1e-3, 0.0, 0.0, 0.02, 0.01, 0.1]), pose()[:3, 3] + middle)
+    arms = contact.center - (there @ [*middle, 1.0])[:3]
+    spins = np.hstack([np.cross(np.eye(3), arms), np.eye(3)])
+    slopes = image.slopes_at(there, contact.center)
+    assert np.abs(slopes @ spins.T).max() < 0.03 * 0.015  # of its radius, were it not round
+    assert np.abs(slopes[:, 2]).max() > 0.5
+    assert fit.covers(there, contact, 1.3e-3)
+    assert not fit.covers(there, contact, 0.9e-3)
 
 
 def test_failed_press_is_not_retried_nearby(pipeline, rubber, contact):
