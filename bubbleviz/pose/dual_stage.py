@@ -152,13 +152,13 @@ class Solver:
             way = np.linalg.solve(directed.motions, motion_between(predicted.T_B_O, T, center))
             T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
         change = self._estimator.observer.pixel_residuals(frame.steady_depth_m)
-        valid_m = self._image.valid_m if tracking else options.converged_m
+        valid_m = options.valid_m if tracking else options.converged_m
         self._image.follow(contact, frame.gas_pressure_pa)
         for k in range(options.next_steps if tracking else options.first_steps):
             from_predicted = motion_between(predicted.T_B_O, T, contact.center)
             center = contact.center + from_predicted[:3]
             step = self._image.step(
-                change, replace(contact, center=center), T, directed, predicted.information,
+                change, replace(contact, center=center), T, directed,
                 valid_m=valid_m if k or not tracking else options.step_m,
                 gas_pressure_pa=frame.gas_pressure_pa,
             )  # fmt: skip

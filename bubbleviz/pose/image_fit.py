@@ -66,14 +66,6 @@ class PredictedImage:
         """Upper bound of the motion of a patch's edge since the press, but for spins in itself."""
         return way_at(radius_m, self.press.seen @ self._motion_to(T_B_O)) + self.by_loads_m
 
-    def error_of(self, before: PredictedImage) -> np.ndarray:
-        """Error (b,) of an earlier linear model at this pose; 0 in groups that it does not have."""
-        groups = self.pixel[:, 0], before.pixel[:, 0]
-        _, own, others = np.intersect1d(*groups, assume_unique=True, return_indices=True)
-        error = np.zeros(len(self.pixel))
-        error[own] = self.expected_m[own] - before.at(self.press.T_B_O)[others]
-        return error
-
     def _motion_to(self, T_B_O: np.ndarray) -> np.ndarray:
         return motion_between(self.press.T_B_O, T_B_O, self.press.center)
 
@@ -104,7 +96,6 @@ class ImageFit:
         """Drop the linear model of the previous frame."""
         self._predicted: PredictedImage | None = None
         self._pressed_at: np.ndarray | None = None  # pose of the last press, failed or not
-        self.valid_m = self._options.valid_m
         self._pressed.reset()
 
     def follow(self, contact: ContactPoints, gas_pressure_pa: float | None) -> None:
@@ -118,7 +109,6 @@ class ImageFit:
         contact: ContactPoints,
         T_B_O: np.ndarray,  # (4, 4)
         directions: Directions,  # motions, and which of them the contact determines
-        known: np.ndarray,  # (6, 6), prior information
         *,
         # motion of the patch's edge up to which the last linear model is reused
         valid_m: float,
@@ -131,7 +121,6 @@ class ImageFit:
         directions that the contact determines. So the faces determine these directions, and the
         surrounding membrane the others.
         """
-        before = self._predicted
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
             return None
@@ -156,25 +145,7 @@ class ImageFit:
         per_m4 = float(weight.sum()) / predicted.area_m2
         persistent = np.linalg.inv(information + START_INFORMATION)
         persistent *= per_m4 / self._precision.of_model
-        if before is not None and before is not predicted:
-            pushed = J.T @ (weight * predicted.error_of(before)[valid])
-            pushed = pushed[:6] - gain @ pushed[6:]
-            by_frame = np.linalg.inv(information + known)
-            error = by_frame @ pushed
-            squared = float(error @ np.linalg.solve(by_frame + persistent, error))
-            way_m = before.way_m(predicted.press.T_B_O, contact.radius_m)
-            self._adapt_range(way_m, squared)
         return ImageStep(information, g, persistent)
-
-    def _adapt_range(self, way_m: float, squared: float) -> None:
-        """Adapt the range of linear models to the error of one over a motion of the patch's edge.
-
-        `squared` is the pose error that it caused, relative to the pose's standard deviation by
-        noise and model errors, squared. That error grows with the square of the motion.
-        """
-        share = np.sqrt(max(squared, 1e-12)) / self._options.max_error_share
-        reach_m = min(way_m / float(np.sqrt(share)), self._options.step_m)
-        self.valid_m = float(np.sqrt(self.valid_m * reach_m))
 
     def _weights(self, residual_m: np.ndarray) -> np.ndarray:
         """1/σ² of pixels from their residuals (b,), smaller for outliers."""
@@ -198,7 +169,7 @@ class ImageFit:
         None if the press fails, or has just failed nearby.
         """
         if self._predicted is None:  # after a failed press
-            valid_m = min(valid_m, self.valid_m)
+            valid_m = min(valid_m, self._options.valid_m)
         if self.covers(T_B_O, contact, valid_m):
             return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
