@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 def moved(T: np.ndarray, motion: np.ndarray, center: np.ndarray) -> np.ndarray:
     """Pose T (4, 4) after a motion (6,) in B: turned about the centre (3,), then shifted."""
-    R = _rotation(motion[3:])
+    R = Rotation.from_rotvec(motion[3:]).as_matrix()
     result = np.eye(4)
     result[:3, :3] = R @ T[:3, :3]
     result[:3, 3] = center + motion[:3] + R @ (T[:3, 3] - center)
@@ -21,33 +21,12 @@ def motion_between(start: np.ndarray, end: np.ndarray, center: np.ndarray) -> np
     """Motion (6,) in B about the centre that takes pose `start` to pose `end`, both (4, 4)."""
     R = end[:3, :3] @ start[:3, :3].T
     shift = end[:3, 3] - center - R @ (start[:3, 3] - center)
-    return np.concatenate([shift, _rotation_vector(R)])
+    return np.concatenate([shift, Rotation.from_matrix(R, assume_valid=True).as_rotvec()])
 
 
 def _cross_matrix(vector: np.ndarray) -> np.ndarray:
     x, y, z = vector.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def _rotation(vector: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) by a rotation vector (3,), by Rodrigues' formula.
-
-    SciPy's takes ten times as long, and a frame needs twenty.
-    """
-    angle, K = float(np.linalg.norm(vector)), _cross_matrix(vector)
-    if angle < 1e-8:
-        return np.eye(3) + K
-    half = np.sin(0.5 * angle) / (0.5 * angle)
-    return np.eye(3) + np.sin(angle) / angle * K + 0.5 * half**2 * (K @ K)
-
-
-def _rotation_vector(R: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) of a rotation (3, 3)."""
-    sine = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    length, cosine = float(np.linalg.norm(sine)), 0.5 * (float(np.trace(R)) - 1.0)
-    if cosine < 0.0:  # the axis is badly determined by the skew part near half a turn
-        return Rotation.from_matrix(R, assume_valid=True).as_rotvec()
-    return sine * (np.arctan2(length, cosine) / length if length > 1e-8 else 1.0)
 
 
 def about(center: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -139,13 +139,9 @@ class ObjectContact:
         self.reset()
 
     def reset(self) -> None:
-        """Reset the active set, expected forces, and known distances."""
+        """Reset the active set and expected forces."""
         self._active = np.zeros(len(self._points), bool)
         self._expected_n = np.zeros(len(self._points))
-        # lower bound of the distance of each point from the membrane, 0 where they touch; membrane
-        # and points of the last call. Points further away than both have moved are not looked at.
-        self._clear_m = np.zeros(len(self._points))
-        self._seen: tuple[np.ndarray, np.ndarray] | None = None
 
     def expect(self, touching: Touching, motion: np.ndarray) -> None:
         """Set as active the points that push after a motion (n, 3) of the nodes, to first order.
@@ -170,13 +166,7 @@ class ObjectContact:
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
         points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.max_depth_m
         low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
-        if self._seen is not None:
-            nodes_before, before = self._seen
-            self._clear_m -= np.linalg.norm(points - before, axis=1)
-            self._clear_m -= np.linalg.norm(x - nodes_before, axis=1).max()
-        self._seen = x, points
-        close = np.all((points > low) & (points < high), axis=1)
-        close = np.flatnonzero(close & (self._active | (self._clear_m <= 0.0)))
+        close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
         if not len(close):
             close = np.zeros(1, int)  # any one, as a placeholder: it is too far away to touch
         found = TriangleScene(x, triangles).closest(points[close])
@@ -191,7 +181,6 @@ class ObjectContact:
         way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
         depth, length = -np.einsum("ij,ij->i", way, pushing), np.linalg.norm(way, axis=1)
         touched = (depth > 0.0) | self._active[close]
-        self._clear_m[close] = np.where(touched, 0.0, length)
         inside = np.flatnonzero(touched & facing & (length < self._options.max_depth_m))
         kept, corners, pushing = close[inside], corners[inside], pushing[inside]
         force_n, weights = self._stiffness[kept] * depth[inside], weights[inside]
