@@ -36,6 +36,7 @@ from .registration import (
     directions as directions,
     object_distance as object_distance,
     open_axes as open_axes,
+    spins as spins,
 )
 from .tracker import (
     PoseTracker as PoseTracker,

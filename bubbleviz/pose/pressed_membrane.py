@@ -32,7 +32,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.pose.motion import motion_between, rows
 from bubbleviz.pose.pose_options import PressOptions
-from bubbleviz.pose.registration import ContactPoints, directions
+from bubbleviz.pose.registration import ContactPoints, directions, spins
 
 # Contact of an object with the membrane: points of the object against triangles of the membrane.
 #
@@ -362,8 +362,6 @@ _SLIDING = np.sin(np.radians(1.0))
 """Share of a motion across the object's surface, root mean square over the contact, below which the
 surface slides in itself: normals interpolated between facets are known no better."""
 
-_TURNING = 0.3  # least rotation of a spin, relative to that of others, as for `open_axes`
-
 
 def _pressed(
     part: Submodel,
@@ -384,19 +382,19 @@ def _pressed(
     on_face[touching.triangle] = True
     on_face[touching.triangle[touching.edge]] = False
     slopes = tangent.moved(pulls)
-    # Where a body of revolution spins, its facets move, but the surface that they approximate does
-    # not: nor does the membrane.
+    # Where a body of revolution spins or a bar slides along itself, its facets move, but the
+    # surface that they approximate does not: nor does the membrane.
     across = np.concatenate([rows(face, touching.points, center) for face in touching.faces])
     found = directions(across.T @ across / max(len(across), 1), contact.radius_m)
-    spins = found.motions[:, _SLIDING * found.deviation_m >= 1.0]
-    seen = np.eye(6)
-    seen[:, 3:] -= spins @ np.linalg.pinv(spins[3:], rcond=_TURNING)
+    slides, seen = _SLIDING * found.deviation_m >= 1.0, np.eye(6)
+    seen[:, 3:] -= spins(found.motions[:, slides])
+    moving = seen @ (found.motions * ~slides) @ np.linalg.inv(found.motions)
     return Press(
         T_B_O=T_B_O,
         center=center,
         part=part,
         nodes=x,
-        slopes=np.einsum("pq,pni->qni", seen, slopes[:6]),
+        slopes=np.einsum("pq,pni->qni", moving, slopes[:6]),
         seen=seen,
         rounding=slopes[6],
         push_n=touching.push(n),

@@ -423,8 +423,21 @@ def open_axes(
         return np.zeros((0, 3)), np.zeros((0, 3))
     # The rotation part of an eigenvector has at most length 1/radius.
     vectors, sizes, mixed = np.linalg.svd(motions[3:])
-    turning = sizes > _TURNS * max(float(sizes.max()), 1.0 / _LARGEST_RADIUS_M)
+    turning = _turning(sizes)
     turns = vectors.T[: len(sizes)][turning]
     still = motions @ mixed[int(turning.sum()) :].T
     shifts = still[:3] / np.maximum(np.linalg.norm(still[:3], axis=0), 1e-12)
     return shifts.T, turns
+
+
+def spins(motions: np.ndarray) -> np.ndarray:
+    """Those of the motions (6, q) that rotate, by their rotation, (6, 3); 0 for other rotations."""
+    vectors, sizes, mixed = np.linalg.svd(motions[3:], full_matrices=False)
+    turning = _turning(sizes)
+    found: np.ndarray = motions @ mixed[turning].T @ (vectors[:, turning] / sizes[turning]).T
+    return found
+
+
+def _turning(sizes: np.ndarray) -> np.ndarray:
+    """Which motions rotate, by the sizes of their rotations, 1/m."""
+    return sizes > _TURNS * max(float(sizes.max(initial=0.0)), 1.0 / _LARGEST_RADIUS_M)

@@ -20,6 +20,7 @@ from bubbleviz.pose import (
     object_distance,
     open_axes,
     rows,
+    spins,
 )
 from bubbleviz.simulation import study_object
 from tests.membrane.domes import plate
@@ -234,6 +235,17 @@ def test_translations_with_rounding_errors_are_not_rotations():
     assert len(turns) == 0
     assert np.allclose(shifts @ shifts.T, np.eye(2), atol=1e-6)
     assert [len(axes) for axes in open_axes(np.zeros((6, 0)))] == [0, 0]
+
+
+def test_spins_are_the_motions_that_rotate():
+    """Of a ball about its centre, of a bar that slides along itself none, however it is rounded."""
+    arm, slide = np.array([0.001, 0.0, 0.013]), np.array([1.0, 0.0, 0.0, 1e-3, 0.0, 0.0])
+    turns = np.vstack([np.cross(np.eye(3), -arm).T, np.eye(3)])
+    units = 100.0 * turns  # which move the edge of a patch of 1 cm by 1 m
+    np.testing.assert_allclose(spins(units @ np.diag([1.0, 0.7, -1.0])), turns, atol=1e-12)
+    both = spins(np.column_stack([slide, units[:, 2]]))
+    np.testing.assert_allclose(both, turns * [0.0, 0.0, 1.0], atol=1e-4)
+    assert not spins(slide[:, None]).any() and not spins(np.zeros((6, 0))).any()
 
 
 def test_precision_is_the_worse_of_noise_and_model_error():
