@@ -20,6 +20,7 @@ from bubbleviz.pose.motion import (
     about,
     motion_between,
     moved,
+    turning,
     way_at,
 )
 from bubbleviz.pose.pose_options import ImageOptions
@@ -164,19 +165,19 @@ class Solver:
             )  # fmt: skip
             if step is None:
                 return None
+            A = turning(from_predicted)
+            information, gradient = A.T @ step.information @ A, A.T @ step.gradient
             if tracking:
-                at_predicted = step.gradient + step.information @ from_predicted
-                predicted = predicted.widened(at_predicted, step.information)
+                at_predicted = gradient + information @ from_predicted
+                predicted = predicted.widened(at_predicted, information)
             known = predicted.information
-            motion = np.linalg.solve(
-                step.information + known, step.gradient - known @ from_predicted
-            )
+            motion = A @ np.linalg.solve(information + known, gradient - known @ from_predicted)
             way_m = way_at(radius_m, motion)
             T = moved(T, motion * min(1.0, options.step_m / max(way_m, 1e-300)), center)
             if self._image.covers(T, contact, valid_m):
                 break
         assert step is not None  # there is at least one
-        return predicted.corrected(T, step.information), step.persistent
+        return predicted.corrected(T, information), step.persistent
 
 
 # Search for initial poses: each face on the patch, at each of several angles about its normal.

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
-from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, way_at
+from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, turning, way_at
 from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Directions, Precision
@@ -60,7 +60,9 @@ class PredictedImage:
 
         They move along with the object, as does the axis about which a round one spins in itself.
         """
-        return self.jacobian @ about(center, self.press.center + self._motion_to(T_B_O)[:3])
+        motion = self._motion_to(T_B_O)
+        there = turning(motion).T @ about(center, self.press.center + motion[:3])
+        return self.jacobian @ there
 
     def way_m(self, T_B_O: np.ndarray, radius_m: float) -> float:
         """Upper bound of the motion of a patch's edge since the press, but for spins in itself."""

@@ -36,6 +36,11 @@ def about(center: np.ndarray, other: np.ndarray) -> np.ndarray:
     return change
 
 
+def turning(motion: np.ndarray) -> np.ndarray:
+    """Matrix (6, 6) that turns small motions as a motion (6,) turns the object."""
+    return np.kron(np.eye(2), Rotation.from_rotvec(motion[3:]).as_matrix())
+
+
 def rows(directions: np.ndarray, points: np.ndarray, center: np.ndarray) -> np.ndarray:
     """Derivative (k, 6) of points' displacements along unit directions (k, 3) by a motion."""
     result = np.empty((len(points), 6))
@@ -76,8 +81,8 @@ _MAX_COAST_S = 0.5  # longest time to coast: motion is not known further ahead
 class Motion:
     """Pose and velocity, with their covariance.
 
-    The centre moves along with the object, so that what is unknown, as a ball's turn about its own
-    centre, stays the same motion of the object wherever it goes.
+    Centre, velocity and covariance move and turn along with the object, so that what is unknown, as
+    a ball's turn about its own centre, stays the same motion of the object wherever it goes.
     """
 
     T_B_O: np.ndarray  # (4, 4)
@@ -115,7 +120,7 @@ class Motion:
         noise[index, index + 6] = noise[index + 6, index] = gain[:6] * gain[6:]
         motion = dt * self.velocity
         T, center = moved(self.T_B_O, motion, self.center), self.center + motion[:3]
-        return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, center)
+        return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, center)._turned(motion)
 
     def widened(self, gradient: np.ndarray, information: np.ndarray) -> Motion:
         """With its covariance P multiplied by the most likely factor of at least 1.
@@ -143,4 +148,10 @@ class Motion:
         own = P[6:, 6:] - gain @ (P[:6, :6] - posterior) @ gain.T
         covariance = np.block([[posterior, cross.T], [cross, own]])
         center = self.center + motion[:3]
-        return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), center)
+        return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), center)._turned(motion)
+
+    def _turned(self, motion: np.ndarray) -> Motion:
+        """Velocity and covariance turned along with the object by a motion (6,)."""
+        A = turning(motion)
+        both = np.kron(np.eye(2), A)
+        return replace(self, velocity=A @ self.velocity, covariance=both @ self.covariance @ both.T)

@@ -92,9 +92,28 @@ def test_correction_equals_the_kalman_update():
     measured = 1e-4 * rng.standard_normal(6)
     T = moved(motion.T_B_O, (gain @ measured)[:6], CENTER)
     after = motion.corrected(T, np.linalg.inv(R))
-    np.testing.assert_allclose(after.covariance, (np.eye(12) - gain @ H) @ P, atol=1e-8)
-    np.testing.assert_allclose(after.velocity, motion.velocity + (gain @ measured)[6:], atol=1e-7)
+    turned = np.kron(np.eye(4), T[:3, :3])  # with the object
+    covariance = turned @ (np.eye(12) - gain @ H) @ P @ turned.T
+    velocity = turned[:6, :6] @ (motion.velocity + (gain @ measured)[6:])
+    np.testing.assert_allclose(after.covariance, covariance, atol=1e-8)
+    np.testing.assert_allclose(after.velocity, velocity, atol=1e-7)
     np.testing.assert_allclose(after.information, np.linalg.inv(after.covariance[:6, :6]))
+
+
+def test_unknown_turn_of_a_ball_stays_one_about_its_centre():
+    """Whether it turned by its velocity or by a frame: its centre stays known to 0.01 mm."""
+    arm, root = np.array([1e-3, 0.0, -0.013]), np.zeros((12, 12))
+    root[:3, :3] = 1e-5 * np.eye(3)
+    root[:6, 3:6] = 0.3 * np.vstack([np.cross(np.eye(3), arm).T, np.eye(3)])
+    turn = np.array([1e-3, 0.0, 0.0, 0.1, -0.3, 0.2])
+    start = Motion(np.eye(4), 250.0 * turn, root @ root.T, CENTER + arm)
+    seen = moved(np.eye(4), turn, start.center)
+    for there in (start.after(1.0 / 250.0), start.corrected(seen, 1e-6 * np.eye(6))):
+        np.testing.assert_allclose(there.T_B_O, seen, atol=1e-12)
+        ball = (there.T_B_O @ [*CENTER, 1.0])[:3]
+        covariance = there.about(ball).covariance
+        assert np.sqrt(np.linalg.eigvalsh(covariance[:3, :3]).max()) < 3e-5
+        assert np.sqrt(np.linalg.eigvalsh(covariance[3:6, 3:6]).min()) > 0.29
 
 
 def test_motions_up_to_half_a_turn_are_recovered():
