@@ -63,9 +63,9 @@ class ImageOptions:
     # derivatives are valid over half of that
     step_m: float = 1.5e-3
     # valid_m, converged_m: motion of the patch's edge from that of a linear model up to which it is
-    # reused from frame to frame, and the first pose of an object has converged. At half the longest
-    # step the error of the derivatives is a quarter.
-    valid_m: float = 7.5e-4
+    # reused from frame to frame, and the first pose of an object has converged. At two thirds of
+    # the longest step the error of the derivatives is less than half.
+    valid_m: float = 1e-3
     converged_m: float = 2e-4
     # first_steps, next_steps: maximum number of steps in a first and in later frames, where the
     # first one uses the last linear model, and a press follows only if the pose leaves its range
