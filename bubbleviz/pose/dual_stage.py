@@ -154,7 +154,7 @@ class Solver:
             T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
         change = self._estimator.observer.pixel_residuals(frame.steady_depth_m)
         valid_m = options.valid_m if tracking else options.converged_m
-        self._image.follow(contact, frame.gas_pressure_pa)
+        self._image.load(contact, frame.gas_pressure_pa)
         for k in range(options.next_steps if tracking else options.first_steps):
             from_predicted = motion_between(predicted.T_B_O, T, contact.center)
             center = contact.center + from_predicted[:3]

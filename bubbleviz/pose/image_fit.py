@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import sparse
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
@@ -40,20 +39,11 @@ class PredictedImage:
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
     area_m2: float  # of the membrane in these pixels
     press: Press
-    by_nodes: sparse.csr_array  # (b, 3k), derivatives of the residuals by motions of its nodes
-    # motion of a node, at most, by friction and gas pressure since the press, and of the residuals
-    by_loads_m: float = 0.0
-    change_m: np.ndarray | float = 0.0  # (b,)
-
-    def under(self, contact: ContactPoints, gas_pressure_pa: float | None) -> PredictedImage:
-        """The same under the friction and gas pressure of another frame."""
-        motion = self.press.motion_by(contact, gas_pressure_pa)
-        change_m = self.by_nodes @ motion.ravel()
-        return replace(self, by_loads_m=float(np.abs(motion).max()), change_m=change_m)
+    by_loads_m: float = 0.0  # motion of a node, at most, by friction and gas pressure since then
 
     def at(self, T_B_O: np.ndarray) -> np.ndarray:
         """Expected residuals at a nearby pose, (b,)."""
-        return self.expected_m + self.change_m + self.jacobian @ self._motion_to(T_B_O)
+        return self.expected_m + self.jacobian @ self._motion_to(T_B_O)
 
     def slopes_at(self, T_B_O: np.ndarray, center: np.ndarray) -> np.ndarray:
         """Derivatives (b, 6) there by small motions about a centre (3,).
@@ -100,10 +90,11 @@ class ImageFit:
         self._pressed_at: np.ndarray | None = None  # pose of the last press, failed or not
         self._pressed.reset()
 
-    def follow(self, contact: ContactPoints, gas_pressure_pa: float | None) -> None:
-        """Bring the linear model of the previous frame to the loads of another one."""
+    def load(self, contact: ContactPoints, gas_pressure_pa: float | None) -> None:
+        """Tell the linear model of the previous frame the friction and gas pressure of another."""
         if self._predicted is not None:
-            self._predicted = self._predicted.under(contact, gas_pressure_pa)
+            motion = self._predicted.press.motion_by(contact, gas_pressure_pa)
+            self._predicted = replace(self._predicted, by_loads_m=float(np.abs(motion).max()))
 
     def step(
         self,
@@ -203,8 +194,7 @@ class ImageFit:
         values = hits.barycentric[:, :, None] * caster.slopes(press.nodes, hits)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
-        by_nodes = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1])
-        J = by_nodes @ slopes.T
+        J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
         vectors = area_vectors(press.nodes, mesh.triangles[np.unique(hits.triangle)])
         return PredictedImage(
             pixel=pixel,
@@ -214,5 +204,4 @@ class ImageFit:
             rounding=J[:, 6],
             area_m2=float(np.linalg.norm(vectors, axis=1).sum()),
             press=press,
-            by_nodes=by_nodes,
         )

@@ -4,8 +4,7 @@ Points of the object that are inside the membrane push it outward:
 
     ∂W/∂x − p(V) ∂V/∂x − f_rest = Σ f_j b_j n_j + t,   f_j = k_j × depth of point j.
 
-Friction t is that of the estimate. Its change by the object's motion is not part of the derivative,
-but a linear model follows the friction of later estimates by the same tangent.
+Friction t is that of the estimate. Its change by the object's motion is not part of the derivative.
 
 Newton's method from the membrane of the last pose, in a `Submodel` around the contact; the last
 tangent also gives the derivative by the object's motion. An edge that moves over the membrane takes
