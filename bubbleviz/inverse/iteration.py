@@ -172,8 +172,10 @@ class Iteration:
         self._converged_m = _CONVERGED_MOTION * edge
         self._reuse_m, self._large_m = TANGENT_REUSE * edge, LARGE_MOTION * edge
         self._cut_m = 0.9 * MAX_STEP * edge
-        self._warm = start.state is not None
-        self._state, self._view = start.state or newton.rest, start.view
+        # A contact of a single node tells too little of shape and friction to start from
+        state = start.state or newton.rest
+        self._warm = bool(np.count_nonzero(state.pressure) > 1)
+        self._state, self._view = state if self._warm else newton.rest, start.view
         self._tangent = start.tangent
         self._friction_scales = start.friction_scales if self._warm else WIDEST
         self._noise = self._own_noise = start.noise  # the latter: by the residual of the last step
