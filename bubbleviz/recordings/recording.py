@@ -44,6 +44,7 @@ from bubbleviz.recordings.message_decoding import (
 )
 from bubbleviz.recordings.recorded_colour import ColourAround, RecordedColour, half_step_ns
 from bubbleviz.recordings.time_series import (
+    GARBAGE_NS,
     NEAREST_NS,
     VALUES,
     Moment,
@@ -272,7 +273,8 @@ class Recording:
         stamps, log_ns = stamps[arrived], log_ns[arrived]
         looped = bool(stamps.all()) and begins_again(stamps)
         if looped:
-            what = "stamps of depth images begin again, as in a looped replay: all data are matched"
+            what = "begin again, as in a looped replay" if np.ptp(stamps) else "never advance"
+            what = f"stamps of depth images {what}: all data are matched"
             self.note = "; ".join(filter(None, (self.note, f"{what} by log times")))
         self._by_log = looped or not stamps.all()
         if self._by_log:
@@ -310,14 +312,22 @@ class Recording:
         return found
 
     def _is_of_other_clock(self, messages: Messages) -> bool:
-        """Whether values were logged along with the images but stamped at other times; notes it."""
+        """Whether values were logged along with the images but stamped at other times; notes it.
+
+        Also where their clock was set, which `plausible_times` corrects for images alone.
+        """
         stamps = np.array([messages.stamp_ns(0), messages.stamp_ns(len(messages) - 1)])
-        if not stamps.all() or _overlap(stamps, self.stamps_ns):
+        if not stamps.all():
             return False
-        if not _overlap(messages.log_ns, self._log_ns):
+        ahead = stamps - messages.log_ns[[0, -1]]
+        if was_set := abs(int(ahead[1] - ahead[0])) > GARBAGE_NS:
+            what = f"the clock of {messages.topic.name} was set meanwhile"
+        else:
+            ahead_s = (stamps[0] - self.stamps_ns[0]) * 1e-9
+            what = f"stamps on {messages.topic.name} are of another clock ({ahead_s:+.1f} s)"
+        apart = not _overlap(stamps, self.stamps_ns) and _overlap(messages.log_ns, self._log_ns)
+        if not (was_set or apart):
             return False
-        ahead_s = (stamps[0] - self.stamps_ns[0]) * 1e-9
-        what = f"stamps on {messages.topic.name} are of another clock ({ahead_s:+.1f} s)"
         self.note = "; ".join(filter(None, (self.note, f"{what}: they are matched by log times")))
         return True
 

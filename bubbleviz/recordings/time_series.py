@@ -234,7 +234,12 @@ class GrowingSeries(Series[T]):
 
 
 def begins_again(stamps_ns: np.ndarray) -> bool:
-    """Whether stamps (n,) in order of arrival go back far, or to earlier ones, as in a loop."""
+    """Whether stamps (n,) in order of arrival go back far, or to earlier ones, as in a loop.
+
+    Or never advance.
+    """
+    if len(stamps_ns) > 1 and not np.ptp(stamps_ns):
+        return True
     behind = np.maximum.accumulate(stamps_ns) - stamps_ns
     repeated = np.ones(len(stamps_ns), bool)
     repeated[np.unique(stamps_ns, return_index=True)[1]] = False

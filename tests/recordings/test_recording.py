@@ -157,6 +157,27 @@ def test_gas_pressure_stamped_by_another_clock_is_matched_by_log_times(tmp_path)
         assert "stamps on /gas are of another clock (-3600.0 s)" in recording.note
 
 
+@pytest.mark.parametrize(
+    ("stamp", "note"),
+    [
+        (lambda k: START + k * PERIOD + (k > 4) * 400 * 86_400 * SECOND, "was set meanwhile"),
+        (lambda k: START, "never advance"),
+    ],
+)
+def test_gas_pressure_is_matched_by_log_times_where_the_clock_jumps_or_stops(tmp_path, stamp, note):
+    bag = BagMaker("mcap file")
+    for k in range(7):
+        log = START + k * PERIOD
+        bag.image(stamp(k), depth_image(k % 5), log=log)
+        bag.pressure(stamp(k), pressure_at(log), log=log)
+    with Recording(bag.write(tmp_path)) as recording:
+        np.testing.assert_allclose(recording.times_s, np.arange(7) * PERIOD * 1e-9)
+        for k in range(7):
+            expected = pressure_at(START + k * PERIOD)
+            assert recording[k].gas_pressure_pa == pytest.approx(expected)
+        assert note in recording.note
+
+
 @pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
 def test_pressure_beyond_its_range_is_the_nearest_or_none(tmp_path, late_s, found):
     bag = BagMaker("mcap file")
