@@ -32,9 +32,10 @@ def left(tmp_path):
         gauge_interval_pa=(2500.0, 2700.0),
         gauge_from="a manometer",
         sheet_share_interval=(0.1, 0.7),
+        stiffness_gradient_y_interval=(-0.25, 0.05),
     )
     air = sensor.pneumatics.model_copy(update={"tension_n_per_m": 105.25})
-    rim = sensor.membrane.model_copy(update={"sheet_share": 0.4})
+    rim = sensor.membrane.model_copy(update={"sheet_share": 0.4, "stiffness_gradient_y": -0.1})
     update = {"calibration": calibration, "pneumatics": air, "membrane": rim}
     known = sensor.model_copy(update=update)
     path = tmp_path / "left.toml"
@@ -82,6 +83,8 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     assert panel.rows["membrane.prestretch"].shown.text() == "not in the file"
     share = panel.rows["membrane.sheet_share"]
     assert (share.shown.text(), share.interval.text()) == ("0.4000", "0.10 … 0.70")
+    uneven = panel.rows["membrane.stiffness_gradient_y"]
+    assert (uneven.shown.text(), uneven.interval.text()) == ("-0.1000", "-0.25 … 0.05")
     assert gauge.interval.toolTip() == "from a manometer"
     assert panel.identified.text() == "2026-11-20 09:30 UTC"
     assert panel.recording.text() == "rest.mcap"

@@ -60,6 +60,12 @@ VALUES = (
     Value("membrane.sheet_share", "Sheet share", "Stress of an oval rim at rest, between that of "
           "a film, 0, and that of a flat sheet, 1", "", "", "sheet_share_interval",
           "prestretch_from"),
+    Value("membrane.stiffness_gradient_x", "Stiffness along x", "Relative change of the rubber's "
+          "stiffness from the middle to the rim, in x", "", "", "stiffness_gradient_x_interval",
+          "prestretch_from"),
+    Value("membrane.stiffness_gradient_y", "Stiffness along y", "Relative change of the rubber's "
+          "stiffness from the middle to the rim, in y", "", "", "stiffness_gradient_y_interval",
+          "prestretch_from"),
     Value("pneumatics.atmospheric_pressure_pa", "Atmosphere", "Absolute air pressure outside",
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Gas volume behind the rim plane",
