@@ -158,10 +158,11 @@ class FrameHistory:
     def next_start(self, kind: int, frame: int, direction: int) -> int | None:
         """First of the next frames in a contact state, or of the previous ones (`direction` −1).
 
-        Only computed frames count; None if there is none.
+        Only computed frames count, as in `contacts`; None if there is none.
         """
-        wanted = self.contact == kind
-        begins = np.flatnonzero(wanted & ~np.concatenate([[False], wanted[:-1]]))
+        known = np.flatnonzero(self.contact != UNKNOWN)
+        wanted = self.contact[known] == kind
+        begins = known[wanted & ~np.concatenate([[False], wanted[:-1]])]
         found = begins[begins > frame][:1] if direction > 0 else begins[begins < frame][-1:]
         return int(found[0]) if found.size else None
 
