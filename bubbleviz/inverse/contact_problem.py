@@ -595,12 +595,13 @@ def touching_parts(
     least_pa: float,
     resolution_m: float,
 ) -> np.ndarray:
-    """Parts of a support (n,) bool with a pressure (n,) as high as a body's that touches.
+    """Parts of a support (n,) bool whose peak pressure is at least that of a body that touches.
 
     A convex body carries `least_pa` or more, p. A load F that is spread evenly at p over a disc and
     blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))).
     """
     blur = blur_m(resolution_m, mesh.edge_length)
+    least_pa = max(least_pa, 1e-3)  # without gas pressure everything touches
     count, part = connected_parts(mesh.rings, support)
     found = pressure[support]
     load = np.bincount(part, mesh.areas[support] * found, minlength=count)

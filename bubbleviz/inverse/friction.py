@@ -78,8 +78,6 @@ def friction_scale(
     present : float
         Scale with which the frame was solved.
     """
-    if not len(amplitudes):  # no contact, or optical flow sees all
-        return FrictionScale(present, covariance)
     precision = np.linalg.inv(covariance)
     prior = (sigma * np.append(_SCALES, present)[:, None]) ** -2.0
     data, axes = np.linalg.eigh(precision - prior[-1] * np.eye(len(amplitudes)))

@@ -423,6 +423,9 @@ class GaussNewton:
         While the same nodes are under pressure, the evidence does not depend on the scales that the
         contact was solved with.
         """
+        if not len(friction[0]):  # no contact, or optical flow sees all
+            slides, spins = (FrictionScale(scale, np.zeros((0, 0))) for scale in scales)
+            return contact, (slides, spins)
         for _ in range(_MAX_SCALES):
             nodes, problem = contact.nodes, contact.problem
             slides, spins = (

@@ -317,18 +317,18 @@ class Recording:
         Also where their clock was set, which `plausible_times` corrects for images alone.
         """
         stamps = np.array([messages.stamp_ns(0), messages.stamp_ns(len(messages) - 1)])
-        if not stamps.all():
+        if (stamps <= 0).any():  # unset, or unreadable
             return False
         ahead = stamps - messages.log_ns[[0, -1]]
         if was_set := abs(int(ahead[1] - ahead[0])) > GARBAGE_NS:
-            what = f"the clock of {messages.topic.name} was set meanwhile"
+            what = f"the clock of {messages.topic.name} was set during the recording"
         else:
             ahead_s = (stamps[0] - self.stamps_ns[0]) * 1e-9
             what = f"stamps on {messages.topic.name} are of another clock ({ahead_s:+.1f} s)"
         apart = not _overlap(stamps, self.stamps_ns) and _overlap(messages.log_ns, self._log_ns)
         if not (was_set or apart):
             return False
-        self.note = "; ".join(filter(None, (self.note, f"{what}: they are matched by log times")))
+        self.note = "; ".join(filter(None, (self.note, f"{what}: values are matched by log times")))
         return True
 
 

@@ -160,7 +160,10 @@ def test_gas_pressure_stamped_by_another_clock_is_matched_by_log_times(tmp_path)
 @pytest.mark.parametrize(
     ("stamp", "note"),
     [
-        (lambda k: START + k * PERIOD + (k > 4) * 400 * 86_400 * SECOND, "was set meanwhile"),
+        (
+            lambda k: START + k * PERIOD + (k > 4) * 400 * 86_400 * SECOND,
+            "was set during the recording",
+        ),
         (lambda k: START, "never advance"),
     ],
 )
