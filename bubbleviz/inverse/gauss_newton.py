@@ -261,8 +261,8 @@ class GaussNewton:
         self, at_rest: LinearisedFrame, gas: float | None, noise: float = 1.0
     ) -> bool:
         """Whether a depth image of the membrane at rest is explained without contact."""
-        tangent = self._rest_tangent[gas is not None]
-        measurements, _ = self._measurements(tangent, self.rest, at_rest, gas, Noise(noise))
+        tangent, by_depth = self._rest_tangent[gas is not None], replace(at_rest, flow=None)
+        measurements, _ = self._measurements(tangent, self.rest, by_depth, gas, Noise(noise))
         return self._problem(tangent, measurements, self.rest, gas).zero_is_optimal()
 
     def updated_noise(

@@ -86,7 +86,9 @@ def test_edges_and_points_are_smooth_or_fast_and_lit_as_by_vtk(drive, quality):
     assert (moving <= 50) == (quality is FAST)  # frames have different holes
     driver.state.set_playing(False)
     driver.wait(lambda: len(driver.result.cloud_m) > 100)
-    # the membrane's lighting is that of VTK
+    # the membrane's lighting is that of VTK; without the dot, whose edge differs by a few pixels in
+    # some renders of the same scene by the software renderer
+    window.tools.distance.clear()
     driver.choose(layers=frozenset({"membrane"}))
     ours = driver.pixels().astype(int)
     assert np.ptp(ours[ours.shape[0] // 2], axis=0).max() > 30  # shaded
