@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
 RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}
 _FILE = "the sensor file"
-_UNCERTAIN_FILE = f"{_FILE}, which gives no gauge_sigma_pa"
-_VENT = "give the recording of the open chamber"
 
 
 @dataclass(frozen=True)
@@ -53,12 +52,8 @@ class Identification:
     # absolute gas pressure of the open chamber, Pa, from which `gauge` was found
     vented: Quantity | None = None
     gauge: Quantity = NOT_YET  # gauge pressure, Pa
-    prestretch: Quantity | None = None  # λ; None: not determined
-    # share of an initially flat sheet in the stress that a rim leaves open; None: not determined
-    sheet_share: Quantity | None = None
-    # relative change of the rubber's stiffness from the middle to the rim; None: not determined
-    stiffness_gradient_x: Quantity | None = None
-    stiffness_gradient_y: Quantity | None = None
+    # of `RUBBER_PARAMETERS` those that were determined, by their names in the sensor file
+    fitted_rubber: Mapping[str, Quantity] = field(default_factory=dict)
     why_not: str = "neither levels nor a held press were used"  # to determine λ
     shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
     # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
@@ -137,8 +132,9 @@ class Identification:
         statistics, surfaces = self.samples.statistics, self.surfaces
         pneumatics = self.given.pneumatics.model_copy(update=self._pressures())
         rubber = self.given.membrane.model_dump(include=set(RUBBER_PARAMETERS))
-        if self.prestretch is not None:
-            rubber = {name: each and round(each.value, 4) for name, each in self.rubber.items()}
+        if self.rubber:
+            found = {name: round(each.value, 4) for name, each in self.rubber.items()}
+            rubber = dict.fromkeys(rubber) | found
         update = {
             "membrane": _membrane_section(surfaces).model_copy(update=rubber),
             "pneumatics": Pneumatics.model_validate(pneumatics.model_dump()),
@@ -153,10 +149,15 @@ class Identification:
         return SensorModel(self.sensor, DepthCamera.of(self.sensor.camera), self.mesh, self.pixels)
 
     @property
-    def rubber(self) -> dict[str, Quantity | None]:
-        """Parameters of the rubber by their names in the sensor file, within their limits."""
-        every = {name: getattr(self, name) for name in RUBBER_PARAMETERS}
-        return {n: q and q.possible(*RUBBER_PARAMETERS[n]) for n, q in every.items()}
+    def rubber(self) -> dict[str, Quantity]:
+        """Parameters of the rubber that were determined, within their limits."""
+        every = self.fitted_rubber.items()
+        return {name: each.possible(*RUBBER_PARAMETERS[name]) for name, each in every}
+
+    @property
+    def prestretch(self) -> Quantity | None:
+        """λ; None: not determined."""
+        return self.fitted_rubber.get("prestretch")
 
     @property
     def modelled_range_m(self) -> np.ndarray:
@@ -202,53 +203,43 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     recorded pressure less the sensor file's atmospheric pressure, with the deviation of weather,
     and of altitude if that is the standard atmosphere. The same deviation has a gauge pressure in
     the file without one, since it may have been found in that way.
-    """
-    pneumatics = sensor.pneumatics
-    gauge, sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
-    gas = samples.gas_pressure_pa
-    if gas is not None and vented is not None:
-        return _above_open_chamber(samples.source_name, gas, vented)
-    if gas is not None:
-        return _without_open_chamber(samples.source_name, gas, pneumatics)
-    if vented is not None:
-        raise InputError(
-            f"{samples.source_name}: not every contact-free frame has a gas pressure, so "
-            f"{vented.source} does not determine the gauge pressure; record it in all of "
-            "them, or give no open chamber (--vented)"
-        )
-    if sigma is None:
-        return Quantity.normal(gauge, pneumatics.atmospheric_sigma_pa, _UNCERTAIN_FILE)
-    return Quantity.normal(gauge, sigma, _FILE)
-
-
-def _above_open_chamber(name: str, gas: np.ndarray, vented: Quantity) -> Quantity:
-    gauge = float(np.mean(gas)) - vented.value
-    if gauge <= 0.0:
-        raise _not_above(name, gauge, vented.value, vented.source, _VENT)
-    sigma = max(float(np.hypot(vented.sigma, error_of_mean(gas))), _RESOLUTION_PA)
-    return Quantity.normal(gauge, sigma, vented.source)
-
-
-def _without_open_chamber(name: str, gas: np.ndarray, pneumatics: Pneumatics) -> Quantity:
-    """Gauge pressure by the recorded gas pressure and the sensor file.
 
     Where the recorded pressure differs from that of the sensor file, either the weather or the
     inflation has changed, so the difference, up to the weather's, adds to the file's deviation.
     Altitude lowers the atmospheric pressure, so the gauge pressure above the standard atmosphere is
     the least there may be: a higher one in the file is taken.
     """
-    in_file, air = pneumatics.gauge_pressure_pa, pneumatics.atmospheric_pressure_pa
-    recorded = float(np.mean(gas))
-    sigma = float(np.hypot(pneumatics.atmospheric_sigma_pa, error_of_mean(gas)))
-    gauge = recorded - air
-    if pneumatics.gauge_sigma_pa is not None:
-        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA)
-        gauge, sigma, source = in_file, float(np.hypot(pneumatics.gauge_sigma_pa, change)), _FILE
-    elif pneumatics.atmosphere_is_local:
+    name, gas, pneumatics = samples.source_name, samples.gas_pressure_pa, sensor.pneumatics
+    in_file, file_sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa
+    if gas is None:
+        if vented is not None:
+            raise InputError(
+                f"{name}: not every contact-free frame has a gas pressure, so {vented.source} does "
+                "not determine the gauge pressure; record it in all of them, or give no open "
+                "chamber (--vented)"
+            )
+        if file_sigma is None:
+            source = f"{_FILE}, which gives no gauge_sigma_pa"
+            return Quantity.normal(in_file, pneumatics.atmospheric_sigma_pa, source)
+        return Quantity.normal(in_file, file_sigma, _FILE)
+    recorded, noise = float(np.mean(gas)), error_of_mean(gas)
+    air, source, remedy = vented, "", "give the recording of the open chamber"
+    if air is None:
+        whose, remedy = f"atmospheric_pressure_pa of {_FILE}", "correct that"
         source = f"the recorded gas pressure minus the atmospheric pressure in {_FILE}"
+        weather = pneumatics.atmospheric_sigma_pa
+        air = Quantity.normal(pneumatics.atmospheric_pressure_pa, weather, whose)
+    gauge, sigma = recorded - air.value, float(np.hypot(air.sigma, noise))
+    if vented is None and file_sigma is not None:
+        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA)
+        gauge, sigma, source = in_file, float(np.hypot(file_sigma, change)), _FILE
+    elif vented is not None or pneumatics.atmosphere_is_local:
         if gauge <= 0.0:
-            whose = f"atmospheric_pressure_pa of {_FILE}"
-            raise _not_above(name, gauge, air, whose, "correct that")
+            raise InputError(
+                f"{name}: gas pressure {recorded:.0f} Pa is not above the atmospheric "
+                f"{air.value:.0f} Pa from {air.source}; inflate the bubble, record the absolute "
+                f"pressure in Pa, or {remedy}"
+            )
     elif gauge >= in_file:
         source = (
             "the recorded gas pressure minus the standard atmosphere, as "
@@ -257,20 +248,13 @@ def _without_open_chamber(name: str, gas: np.ndarray, pneumatics: Pneumatics) ->
     else:
         sigma = float(np.hypot(sigma, in_file - gauge))
         gauge, source = in_file, f"{_FILE}, which has no local atmospheric pressure"
-    if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
+    if vented is None and not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
         raise InputError(
             f"{name}: gas pressure {recorded:.0f} Pa minus the sensor file's gauge pressure "
             f"{gauge:.0f} Pa is not a plausible atmospheric pressure; record the absolute pressure "
             "in Pa, or correct gauge_pressure_pa in the sensor file"
         )
-    return Quantity.normal(gauge, sigma, source)
-
-
-def _not_above(name: str, gauge: float, air: float, whose: str, remedy: str) -> InputError:
-    return InputError(
-        f"{name}: gas pressure {gauge + air:.0f} Pa is not above the atmospheric {air:.0f} Pa from "
-        f"{whose}; inflate the bubble, record the absolute pressure in Pa, or {remedy}"
-    )
+    return Quantity.normal(gauge, max(sigma, _RESOLUTION_PA), source or air.source)
 
 
 def _membrane_section(surfaces: Surfaces) -> Membrane:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import bubbleviz
-from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
 from bubbleviz.calibration.verdict import advice, grade, headline, parameters
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
@@ -119,9 +119,8 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
     known: dict[str, Any] = {k: value for k, value in origin.items() if k != "sensor_file"}
     for name, of in found.rubber.items():
-        if of is not None:
-            known[f"{name}_interval"] = round(of.low, 4), round(of.high, 4)
-            known["prestretch_from"] = of.source
+        known[f"{name}_interval"] = round(of.low, 4), round(of.high, 4)
+        known["prestretch_from"] = of.source
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
@@ -231,7 +230,8 @@ def _rubber(found: Identification) -> dict[str, Any]:
     fitted = np.isfinite(found.unexplained_rms_m)
     names = "rises_pa", "change_rms_m", "unexplained_rms_m"
     return {
-        **{name: each and asdict(each) for name, each in found.rubber.items()},
+        **dict.fromkeys(RUBBER_NAMES),
+        **{name: asdict(each) for name, each in found.rubber.items()},
         "prestretch_from": found.prestretch and found.prestretch.source,
         "why_not_determined": found.why_not or None,
         "gauge_pressure_pa": gauge and asdict(gauge.possible()),

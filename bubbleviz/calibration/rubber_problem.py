@@ -36,6 +36,7 @@ from bubbleviz.camera import RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import PRESSURE_SCALE, RIM_SLACK_M
 from bubbleviz.membrane import (
+    RUBBER_PARAMETERS,
     STRESS_DEGREE,
     Factor,
     Factoriser,
@@ -717,21 +718,16 @@ def _fitted(
     wide = Quantity.normal(q, float(np.sqrt(variance)))
     low, high = max(wide.low, SMALLEST_Q), min(wide.high, LARGEST_Q)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, high, low))
-    stretch, share = Quantity(value, low, high, source), None
-    _, _, *others = zip(values[1].tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True)
-    of_share, along_x, along_y = (Quantity.normal(*each, source) for each in others)
-    if found.surfaces.chosen != "sphere" and found.surfaces.flat_sheet is not None:
-        # errors of the model may count more in it, but it lies between 0 and 1
-        sigma = min(of_share.sigma, SHARE_SIGMA)
-        share = Quantity.normal(of_share.value, sigma, source)
-    return replace(
-        known,
-        prestretch=stretch,
-        sheet_share=share,
-        stiffness_gradient_x=along_x,
-        stiffness_gradient_y=along_y,
-        why_not="",
-    )
+    sigmas = np.sqrt(np.diag(covariance))
+    # errors of the model may count more in the share, but it lies between 0 and 1
+    sigmas[2] = min(sigmas[2], SHARE_SIGMA)
+    rubber = {
+        name: Quantity.normal(float(values[1, k]), float(sigmas[k]), source)
+        for name, k in zip(RUBBER_PARAMETERS, _RUBBER, strict=True)
+    } | {"prestretch": Quantity(value, low, high, source)}
+    if found.surfaces.chosen == "sphere" or found.surfaces.flat_sheet is None:
+        del rubber["sheet_share"]
+    return replace(known, fitted_rubber=rubber, why_not="")
 
 
 def _sigma_of_mean(known: Identification, mean: Quantity) -> float:

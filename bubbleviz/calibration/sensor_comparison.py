@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
-from bubbleviz.calibration.surface import Quantity
 from bubbleviz.errors import InputError
 from bubbleviz.sensor import Calibration, Sensor
 from bubbleviz.sensor_model import SensorModel
@@ -57,17 +56,17 @@ class SensorComparison:
         models = SensorModel.of(old, intrinsics), new.model
         before, after = (_numbers(model, measured) for model in models)
         known = old.calibration or Calibration(pixels_file="")  # without intervals
-        intervals: dict[str, tuple[Quantity | None, tuple[float, float] | None]] = {
-            "γ0": (new.tension, known.tension_interval_n_per_m),
-            "gauge pressure": (new.gauge, known.gauge_interval_pa),
-            "height": (new.surfaces.dimensions["height_m"], None),
+        height = new.surfaces.dimensions["height_m"]
+        found = {"γ0": new.tension, "gauge pressure": new.gauge, "height": height}
+        intervals = {
+            "γ0": known.tension_interval_n_per_m,
+            "gauge pressure": known.gauge_interval_pa,
         }
-        for name, each in new.rubber.items():
-            intervals[RUBBER_NAMES[name]] = each, getattr(known, f"{name}_interval")
-        half = {name: each.half_width for name, (each, _) in intervals.items() if each}
-        old_half = {
-            name: 0.5 * float(np.ptp(ends)) for name, (_, ends) in intervals.items() if ends
-        }
+        for name, text in RUBBER_NAMES.items():
+            intervals[text] = getattr(known, f"{name}_interval")
+            found |= {text: new.rubber[name]} if name in new.rubber else {}
+        half = {name: each.half_width for name, each in found.items()}
+        old_half = {name: 0.5 * float(np.ptp(ends)) for name, ends in intervals.items() if ends}
         rows = tuple(
             ComparisonRow(name, kind, value, after[name, kind], half.get(name), old_half.get(name))
             for (name, kind), value in before.items()

@@ -146,7 +146,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     not determined, and what makes the interval `narrower`.
     """
     vented = found.vented is not None
-    gauge, stretch = found.gauge, found.prestretch
+    gauge = found.gauge
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
@@ -159,16 +159,14 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
         ("γ0", _range(found.tension.possible().texts(2), " N/m"), found.tension.source, of_tension),
         ("gauge pressure", _range(pressures), gauge.source, chamber_text),
     ]
-    if stretch is None:
+    if found.prestretch is None:
         narrower = f"{_LEVELS}, or press it deeply and hold still"
         rows.append(("λ", "not determined", found.why_not, narrower))
-    else:
-        narrower = _FARTHER if vented else chamber
-        rows.append(("λ", _range(stretch.texts(3)), stretch.source, narrower))
-    for name, each in list(found.rubber.items())[1:]:
-        if each is not None:
-            narrower = _LEVELS if found.shapes_kind == "press" else _FARTHER
-            rows.append((RUBBER_NAMES[name], _range(each.texts(2)), each.source, narrower))
+    for name, each in found.rubber.items():
+        digits, narrower = 2, _LEVELS if found.shapes_kind == "press" else _FARTHER
+        if name == "prestretch":
+            digits, narrower = 3, _FARTHER if vented else chamber
+        rows.append((RUBBER_NAMES[name], _range(each.texts(digits)), each.source, narrower))
     return [dict(zip(_COLUMNS, row, strict=True)) for row in rows]
 
 

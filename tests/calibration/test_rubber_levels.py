@@ -238,7 +238,7 @@ def test_gauge_pressure_by_levels_on_an_oval_rim(vented, moulded):
     levels = [collect(each, given, range(20)) for each in (low, high)]
     fitted = with_rubber(found, levels)
     alone, _ = fitted.gauge_candidates
-    share = fitted.sheet_share
+    share = fitted.fitted_rubber["sheet_share"]
     assert fitted.sensor.membrane.sheet_share == pytest.approx(np.clip(share.value, 0, 1), abs=1e-3)
     assert share.half_width < 0.57  # of a uniform distribution
     assert share.low < (0.13 if moulded else 0.73) < share.high  # by its stress
@@ -268,7 +268,7 @@ def test_levels_tell_a_stiffness_that_changes_over_the_membrane(vented, gradient
     given = with_air(rubber.sensor(224), vented.value)
     found = opened(identify(rest, given, range(FRAMES), nodes=NODES), vented)
     fitted = with_rubber(found, [collect(each, given, range(FRAMES)) for each in levels])
-    along_x, along_y = fitted.stiffness_gradient_x, fitted.stiffness_gradient_y
+    along_x, along_y = (fitted.rubber[f"stiffness_gradient_{axis}"] for axis in "xy")
     assert along_x.low < gradient < along_x.high
     assert along_y.low < 0.0 < along_y.high
     assert max(along_x.half_width, along_y.half_width) < 0.1  # before: 0.2
