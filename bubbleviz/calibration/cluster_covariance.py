@@ -18,7 +18,6 @@ from bubbleviz.recordings import DepthStatistics, mean_inflation, student_factor
 _MIN_TILES = 30  # fewer determine their spread poorly
 _MIN_BLOCKS = 5  # of frames in the recording, however long the correlation
 _BLOCK_INFLATIONS = 2.0  # length of a block of frames in correlation times
-_PART = 2**12  # pixels treated at a time, so that their errors fit the processor's cache
 
 
 def tile_side(pixels: int, correlation_length_px: float) -> int:
@@ -53,18 +52,12 @@ def cluster_covariances(
     tile = tile_numbers(pixels, columns, tile_side(len(pixels), length))
     tiles, (count, numbers) = int(tile.max()) + 1, influence.shape
     static, moving = np.zeros((numbers, tiles)), np.zeros((numbers, tiles, len(error_m)))
-    for start in range(0, count, _PART):
-        part = slice(start, start + _PART)
-        kept = np.isfinite(error_m[:, part])
-        error = np.where(kept, error_m[:, part], 0.0) / np.maximum(kept.sum(axis=0), 1)
-        first, stop = int(tile[part].min()), int(tile[part].max()) + 1
-        own, at = slice(first, stop), (tile[part] - first, np.arange(error.shape[1]))
-        for k in range(numbers):
-            shape = stop - first, error.shape[1]
-            sums = sparse.csr_array((influence[part, k], at), shape=shape)
-            static[k, own] += sums @ residual_m[part]
-            moving[k, own] += sums @ error.T
-        progress("error of the mean", min(1.0, part.stop / count))
+    kept = np.isfinite(error_m)
+    error = np.where(kept, error_m, 0.0).T / np.maximum(kept.sum(axis=0), 1)[:, None]
+    for k in range(numbers):
+        sums = sparse.csr_array((influence[:, k], (tile, np.arange(count))), shape=(tiles, count))
+        static[k], moving[k] = sums @ residual_m, sums @ error
+        progress("error of the mean", (k + 1) / numbers)
     block = _BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation)
     return covariances(static.T, moving.transpose(2, 1, 0), parameters, max(1, round(block)))
 

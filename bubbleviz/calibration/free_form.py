@@ -27,7 +27,7 @@ from bubbleviz.membrane import MembraneMesh, balance_gradient, cotangent_laplaci
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
 
-FOLDS = 5  # of the cross-validation; the usual number
+_FOLDS = 5  # of the cross-validation; the usual number
 _SHIFTS = (0.0, 0.0), (1.0 / 3.0, 2.0 / 3.0), (2.0 / 3.0, 1.0 / 3.0)
 """Of the tiles by rows and columns, over their side."""
 _TRIED = 8  # half decades of λ tried below and above the one of equal traces
@@ -93,7 +93,7 @@ def fit_free_form(
         unit = float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
         if k < len(searches):
             left_out = [
-                _left_out(D, target, weights, fold[hit], prior * unit, width)
+                left_out_errors(D, target, weights, fold[hit], prior * unit, width)
                 for fold in searches[k]
             ]
             place, left_out_rms = _best(left_out, weights / weights.sum(), round(place))
@@ -158,10 +158,10 @@ def fold_of(
     """Fold 0 … 4 of each pixel: all pixels of a tile share one; neighbouring tiles differ."""
     down, right = (int(each * tile_px) for each in shift)
     row, column = np.divmod(pixels, width)
-    return ((row + down) // tile_px * 2 + (column + right) // tile_px) % FOLDS
+    return ((row + down) // tile_px * 2 + (column + right) // tile_px) % _FOLDS
 
 
-def _left_out(
+def left_out_errors(
     D: sparse.csr_array,  # (k, n)
     target: np.ndarray,  # (k,)
     weights: np.ndarray,  # (k,)
@@ -173,7 +173,7 @@ def _left_out(
     weighted = D.multiply(weights[:, None]).tocsr()
     matrix, right = weighted.T @ D, weighted.T @ target
     folds = []
-    for k in range(FOLDS):
+    for k in range(_FOLDS):
         own = np.flatnonzero(fold == k)
         part, of_fold, target_of_fold = weighted[own], D[own], target[own]
         rest = matrix - part.T @ of_fold, right - part.T @ target_of_fold

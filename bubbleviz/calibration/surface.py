@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy import sparse
 
 from bubbleviz.calibration.cluster_covariance import cluster_covariances, tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.free_form import FOLDS, FreeForm, fit_free_form, fold_of
+from bubbleviz.calibration.free_form import FreeForm, fit_free_form, fold_of, left_out_errors
 from bubbleviz.calibration.rest_frames import (
     FrameSamples,
     away_from_edges,
@@ -222,13 +223,10 @@ def _left_out_squares(
     errors: dict[SurfaceName, np.ndarray] = {"free-form": missed}
     for name, cap in zip(SURFACE_NAMES, caps, strict=False):
         J, distance = cap.derivatives(points, sphere=name == "sphere"), cap.distance(points)
-        errors[name] = distance.copy()
-        rows = np.column_stack([J, distance])
-        folds = [np.flatnonzero(fold == k) for k in range(FOLDS)]
-        products = np.stack([(rows[own].T * weights[own]) @ rows[own] for own in folds])
-        for own, product in zip(folds, products, strict=True):  # refitted in one step without it
-            rest = products.sum(axis=0) - product
-            errors[name][own] -= J[own] @ np.linalg.solve(rest[:-1, :-1], rest[:-1, -1])
+        size = J.shape[1]
+        free = sparse.csc_array((size, size))  # no prior
+        refitted = left_out_errors(sparse.csr_array(J), distance, weights, fold, free, size - 1)
+        errors[name] = refitted(0.0)
     total = np.maximum(np.bincount(tile, weights), 1e-9)
     counted = np.bincount(tile, weights > 0.0) > 0
     return {
