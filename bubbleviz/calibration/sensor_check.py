@@ -7,9 +7,10 @@ whole image and by the gas pressure, whose effect on the shape is uncertain by t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -240,7 +241,11 @@ class _RestComparison:
     @property
     def chi2(self) -> float:
         """χ² of the mean per block."""
-        return float(np.mean(self.mean_m**2 / self.mean_variance_m2))
+        return self._chi2_without(())
+
+    def _chi2_without(self, causes: tuple[int, ...]) -> float:
+        """The same after the causes were fitted."""
+        return float(np.mean(self._without(causes) ** 2 / self.mean_variance_m2))
 
     @cached_property
     def shape(self) -> CheckRow:
@@ -287,20 +292,19 @@ class _RestComparison:
 
     @cached_property
     def causes(self) -> tuple[int, ...]:
-        """Numbers of the causes whose sizes are beyond their intervals and limits.
+        """Numbers of the causes, all of them beyond their intervals and limits.
 
-        Chosen one after the other, each as the one that with those before leaves the least; none
-        where the change is not significant.
+        Of as many as possible those that together leave the least; none where the change is not
+        significant.
         """
         chosen: tuple[int, ...] = ()
         while len(chosen) < len(_CAUSES) and self.chi2 > self.chi2_limit:
-            sets = [(*chosen, k) for k in range(len(_CAUSES)) if k not in chosen]
-            squares = [np.sum(self._without(s) ** 2 / self.mean_variance_m2) for s in sets]
-            best = sets[int(np.argmin(squares))]
-            # the material scales the effect of the gas, so it matters to its size only
-            size, half = self._size(best, material=best[-1] != _GAS)
-            if abs(size) <= max(half, self._limit(best[-1])):
-                break
+            best = min(combinations(range(len(_CAUSES)), len(chosen) + 1), key=self._chi2_without)
+            for cause in best:
+                # the material scales the effect of the gas, so it matters to its size only
+                size, half = self._size(cause, best, material=cause != _GAS)
+                if abs(size) <= max(half, self._limit(cause)):
+                    return chosen
             chosen = best
         return chosen
 
@@ -320,54 +324,54 @@ class _RestComparison:
         drift = PRESSURE_ERROR * self.model.sensor.pneumatics.gauge_pressure_pa
         return self.gas_change_pa, float(np.linalg.norm([self.gas_error_pa, weather, drift]))
 
-    def _influence(self, causes: tuple[int, ...], kept: np.ndarray | float = 1.0) -> np.ndarray:
+    def _influence(self, causes: Sequence[int], kept: np.ndarray | float = 1.0) -> np.ndarray:
         """Derivative of each cause's size by each block (k, B), in weighted least squares."""
         X = self.patterns[:, causes]
         weighted = X.T * kept / self.mean_variance_m2
         return np.asarray(np.linalg.solve(weighted @ X, weighted))
 
-    def _without(self, causes: tuple[int, ...]) -> np.ndarray:
+    def _without(self, causes: Sequence[int]) -> np.ndarray:
         """The mean residual (B,) minus the fitted causes, m."""
         if not causes:
             return self.mean_m
         sizes = self._influence(causes) @ self.mean_m
         return np.asarray(self.mean_m - self.patterns[:, causes] @ sizes)
 
-    def _size(self, causes: tuple[int, ...], *, material: bool = True) -> tuple[float, float]:
-        """Size of the last of the causes, fitted with the others, and half of its 95 % interval.
+    def _size(
+        self, cause: int, causes: Iterable[int], *, material: bool = True
+    ) -> tuple[float, float]:
+        """Size of a cause fitted with others, and half of its 95 % interval.
 
         By the images and the measured gas pressure. The interval combines the variation between
         frames, the residuals of squares of blocks, the differences between rings from rim to top,
         and the error of the material unless left out.
         """
+        causes = (cause, *(each for each in causes if each != cause))
         influence, left_m = self._influence(causes), self._without(causes)
         sizes, of_square = influence @ self.mean_m, self._squares.of_block
+        of_gas = np.array([each == _GAS for each in causes], float)
         errors = [
             np.array([[error_of_mean(self.frames_m @ each)] for each in influence]),
             np.array([np.bincount(of_square, each * left_m) for each in influence]),
             jackknife_errors(lambda kept: self._influence(causes, kept) @ left_m, self._ring).T,
+            material * (of_gas @ sizes) * influence @ self._by_gas[1].T,
         ]
-        if _GAS not in causes:
-            return float(sizes[-1]), HALF_95 * float(np.linalg.norm(np.hstack(errors)[-1]))
-        gas = causes.index(_GAS)
-        if material:
-            errors.append(sizes[gas] * influence @ self._by_gas[1].T)
         every = np.hstack(errors)
         covariance = every @ every.T
+        by_gas = covariance @ of_gas
         measured_pa, sigma_pa = self._inflation
-        gain = covariance[-1, gas] / (covariance[gas, gas] + sigma_pa**2)
-        variance = covariance[-1, -1] - gain * covariance[gas, -1]
-        size = float(sizes[-1] + gain * (measured_pa - sizes[gas]))
-        return size, HALF_95 * float(np.sqrt(variance))
+        gain = by_gas[0] / (of_gas @ by_gas + sigma_pa**2)
+        size = sizes[0] + gain * (measured_pa - of_gas @ sizes)
+        return float(size), HALF_95 * float(np.sqrt(covariance[0, 0] - gain * by_gas[0]))
 
     def drift_m(self) -> np.ndarray:
         """Change of the z-depth image (H, W), by blocks, m; 0 where unknown."""
         side, columns = self.observer.block, self.observer.columns
-        row, column = np.indices(self.model.view.shape) // side
-        block = row * columns + column
-        change = np.zeros(block.max() + 1)
-        change[self.observer.block_number[self._visible]] = self.mean_m
-        return np.asarray(change[block] / self.model.camera.range_per_depth)
+        height, width = self.model.view.shape
+        change = np.zeros((-(-height // side), columns))
+        change.ravel()[self.observer.block_number[self._visible]] = self.mean_m
+        image = change.repeat(side, axis=0).repeat(side, axis=1)[:height, :width]
+        return np.asarray(image / self.model.camera.range_per_depth)
 
     def rows(self) -> list[CheckRow]:
         """The causes, and the residual without them.
@@ -377,7 +381,7 @@ class _RestComparison:
         """
         rows, together = [], self.causes if len(self.causes) < 2 else range(len(_CAUSES))
         for k, (name, unit) in enumerate(zip(_CAUSES, _UNITS, strict=True)):
-            size, half = self._size((*(each for each in together if each != k), k))
+            size, half = self._size(k, together)
             remedy = _REMEDY[k == _GAS] if k in self.causes and not self.shape.todo else ""
             rows.append(CheckRow(name, *unit, size, half, self._limit(k), remedy))
         if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown

@@ -153,6 +153,17 @@ def test_intervals_hold_two_changes_together(dome):
         assert abs(row.value - truth.get(row.quantity, 0.0)) < row.half_width, row
 
 
+def test_two_changes_that_look_like_a_third_are_found_together(dome):
+    """An offset and a smaller scale leave about the image of another inflation."""
+    sensor, frames = dome
+    source = frames("rest", 21)
+    frames_at_rest = [source[k] for k in range(10)]
+    found = bv.check(with_depth(frames_at_rest, lambda depth: 0.994 * depth + 3e-4), sensor)
+    told = [row.quantity for row in found.rows if row.todo]
+    assert told == ["depth offset", "depth scale"]
+    assert abs(size_of(found, "depth scale") + 0.006) < found.rows[3].half_width
+
+
 def test_a_measured_gas_pressure_excludes_inflation(dome):
     """A camera displaced along its axis looks like another inflation, but for the gas pressure."""
     sensor, frames = dome
