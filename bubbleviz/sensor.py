@@ -84,8 +84,9 @@ class Membrane(Section):
     rim_semi_axes_m: tuple[Metres, Metres] | None = None
     height_m: Metres | None = None
     mesh_file: str | None = None
-    prestretch: float | None = Field(default=None, gt=1.0, le=10.0)
-    """λ of the rubber at rest; absent: constant tension."""
+    prestretch: float | None = Field(default=None, gt=1.0, le=3.2)
+    """λ of the rubber at rest; absent: constant tension, from which 3.2 differs by λ⁻⁶ = 0.001;
+    values in per cent are out of range."""
     sheet_share: float | None = Field(default=None, ge=0.0, le=1.0)
     """Share of an initially flat sheet in the stress that shape and pressure leave open, as on oval
     rims; absent: 0, the stress of a film."""

@@ -8,6 +8,7 @@ import pytest
 from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error, read_npy, read_triangles
 from bubbleviz.recordings import ImageFolder
+from bubbleviz.sensor import edited, load_sensor
 
 
 def npy(array, shape=None):
@@ -65,3 +66,11 @@ def test_an_array_without_depths_warns_of_nothing(tmp_path, value, kind, recwarn
     except InputError as error:
         assert "1.npy" in str(error)
     assert not recwarn.list
+
+
+def test_a_prestretch_in_per_cent_is_refused():
+    sensor = load_sensor("pico_flexx_75mm")
+    for within in (1.01, 10.0**0.5):  # the latter is the largest that `identify` finds
+        assert edited(sensor, {"membrane.prestretch": within}).membrane.prestretch == within
+    with pytest.raises(InputError, match=r"prestretch = 8\.2: it should be less than"):
+        edited(sensor, {"membrane.prestretch": 8.2})
