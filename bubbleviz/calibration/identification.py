@@ -184,8 +184,8 @@ def open_chamber(source: FrameSource) -> Quantity:
     Raises InputError: fewer than five frames with a gas pressure.
     """
     fewest = 5  # for a mean with a standard error; chosen
-    values = [source[k].gas_pressure_pa for k in range(len(source))]
-    known = np.array([value for value in values if value is not None])
+    values = np.array([source[k].gas_pressure_pa for k in range(len(source))], float)
+    known = values[np.isfinite(values)]
     if len(known) < fewest:
         raise InputError(
             f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "

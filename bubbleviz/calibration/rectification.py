@@ -47,24 +47,11 @@ def rectify(
     pixels, known = found.pixels, np.isfinite(slope)
     mask = pixels.mask & known
     lost = int(np.count_nonzero(pixels.mask & ~known))
-    line = RangeLine(
-        slope=np.where(mask, slope, 1.0),
-        rest_m=np.where(mask, found.samples.statistics.range_m, 0.0),
-        nearest_m=np.where(mask, nearest, 0.0),
-        farthest_m=np.where(mask, farthest, 0.0),
-        levels=len(every),
-    )
-    return replace(
-        found,
-        pixels=replace(
-            pixels,
-            mask=mask,
-            bias_m=np.where(mask, pixels.bias_m, 0.0).astype(np.float32),
-            noise_m=np.where(mask, pixels.noise_m, np.inf).astype(np.float32),
-            removed=pixels.removed | {"not_at_every_level": lost},
-            line=line,
-        ),
-    )
+    images = slope, found.samples.statistics.range_m, nearest, farthest
+    slope, rest, nearest, farthest = (np.where(mask, image, np.nan) for image in images)
+    line = RangeLine(slope, rest, nearest, farthest, len(every))
+    removed = pixels.removed | {"not_at_every_level": lost}
+    return replace(found, pixels=replace(pixels, mask=mask, removed=removed, line=line))
 
 
 def fit_lines(

@@ -65,7 +65,7 @@ def collect(
         )
     chosen = list(chosen)[:: -(-len(chosen) // MAX_FRAMES)]
     images: list[np.ndarray] = []
-    pressures: list[float] = []
+    pressures: list[float | None] = []
     for number, k in enumerate(chosen):
         frame = source[k]
         if images and frame.depth_m.shape != images[0].shape:
@@ -74,14 +74,14 @@ def collect(
                 "with one resolution"
             )
         images.append(frame.depth_m)
-        pressures.append(np.nan if frame.gas_pressure_pa is None else frame.gas_pressure_pa)
+        pressures.append(frame.gas_pressure_pa)
         if number == 0:
             camera = DepthCamera.of(sensor.camera, frame.intrinsics)
             _check_unit(source.name, frame.depth_m, sensor, camera)
         progress("reading frames", (number + 1) / len(chosen))
     progress("measuring pixels", 0.0)
     depth = np.stack(images).astype(np.float32, copy=False)
-    gas = np.array(pressures)
+    gas = np.array(pressures, float)  # NaN: not measured
     return FrameSamples(
         source_name=source.name,
         frames=tuple(chosen),

@@ -81,6 +81,7 @@ taken as the 95 % interval."""
 _RUBBER, _MATERIAL = [0, 2, 3, 4], 5
 """Places of q, share and gradient, and number of unknowns before the contact pressures, of which
 the second is G over the initial one."""
+_NO_NODES = np.zeros(0, int)
 _STEP = 1e-3  # of q, relative, of the share and of the gradient, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
 PRESSURE_ERROR = 0.01
@@ -173,12 +174,10 @@ class RubberProblem:
         self._change_m, weight = (np.stack(each) for each in zip(*measured, strict=True))
         self._root = np.sqrt(np.where(weight > 0.0, weight, np.nan))  # 1/σ of each block
         # nodes of every shape that may be in contact
-        self._zones = [np.zeros(0, int)] * len(shapes)
-        if pressed:
-            self._zones = [
-                _dent_nodes(observer, change, precision, each.source_name)
-                for change, precision, each in zip(self._change_m, weight, shapes, strict=True)
-            ]
+        self._zones = [
+            _dent_nodes(observer, change, precision, each.source_name) if pressed else _NO_NODES
+            for change, precision, each in zip(self._change_m, weight, shapes, strict=True)
+        ]
         ends = _MATERIAL + np.cumsum([0, *map(len, self._zones)])
         self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
         self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(shapes))
@@ -487,14 +486,12 @@ class RubberProblem:
         residual_m: np.ndarray,  # (S·B,)
     ) -> np.ndarray:
         """Covariance (5, 5) by the noise of all frames and the residuals of the model."""
-        shapes = len(self._shapes)
-        influences, residuals = np.split(influence, shapes), np.split(residual_m, shapes)
-        influences.insert(0, -np.sum(influences, axis=0))
-        residuals.insert(0, np.zeros(len(influences[0])))
+        shape = len(self._shapes), self._observer.blocks
+        influences, residuals = influence.reshape(*shape, -1), residual_m.reshape(shape)
+        at_rest = -influences.sum(axis=0), np.zeros(shape[1])
+        every = [at_rest, *zip(influences, residuals, strict=True)]
         observer, total = self._observer, np.zeros((_MATERIAL, _MATERIAL))
-        for (statistics, every_m), own, residual in zip(
-            self._observed, influences, residuals, strict=True
-        ):
+        for (statistics, every_m), (own, residual) in zip(self._observed, every, strict=True):
             used = np.flatnonzero(own.any(axis=1))
             ranges_m = every_m[:, used]
             total += sum(
@@ -631,14 +628,11 @@ def press_hold_frames(
     free = samples.gas_pressure_pa
     if free is None:
         return []
-    rest = float(np.median(free))
-    later = range(max(samples.frames) + 1, len(source))
-    rises = []
+    later, pressures = range(max(samples.frames) + 1, len(source)), []
     for k in later:
-        value = source[k].gas_pressure_pa
-        rises.append(np.nan if value is None else value - rest)
+        pressures.append(source[k].gas_pressure_pa)
         progress("finding the press", (k - later.start) / len(later))
-    rise = np.array(rises)
+    rise = np.array(pressures, float) - np.median(free)  # NaN: not measured
     if not np.isfinite(rise).any() or np.nanmax(rise) < _PRESS_RISE * max(robust_sigma(free), 1e-9):
         return []
     return [later[k] for k in np.flatnonzero(rise > _HOLD_SHARE * np.nanmax(rise))]

@@ -202,10 +202,10 @@ class _RestComparison:
         )
         # χ² per block that noise alone does not exceed
         self.chi2_limit = float(chdtri(len(self.mean_m), ndtr(-SIGNIFICANT)) / len(self.mean_m))
-        gas = [np.nan if f.gas_pressure_pa is None else f.gas_pressure_pa for f in frames]
+        gas = np.array([frame.gas_pressure_pa for frame in frames], float)
         # measured gas pressure minus the sensor file's, and its standard error; NaN: not measured
         self.gas_change_pa = float(np.mean(gas)) - model.gas.P0
-        self.gas_error_pa = error_of_mean(np.array(gas))
+        self.gas_error_pa = error_of_mean(gas)
 
     def _variance_of_mean(self, noise_m2: np.ndarray) -> np.ndarray:
         """Variance of the frames' mean plus that of the sensor file's biases.
