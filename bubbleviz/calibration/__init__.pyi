@@ -1,10 +1,11 @@
-from .cluster_covariance import (
-    covariances as covariances,
-)
 from .ellipsoid import (
     Ellipsoid as Ellipsoid,
     fit_ellipsoid as fit_ellipsoid,
     fit_sphere as fit_sphere,
+)
+from .fit_errors import (
+    drift_deviations as drift_deviations,
+    tile_errors as tile_errors,
 )
 from .identification import (
     Identification as Identification,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from bubbleviz.calibration.cluster_covariance import tile_numbers, tile_side
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_sphere
+from bubbleviz.calibration.fit_errors import tile_numbers, tile_side
 from bubbleviz.calibration.rest_frames import FrameSamples, away_from_edges
 from bubbleviz.camera import MAD, DepthCamera, median
 from bubbleviz.errors import InputError

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cached_property, lru_cache, partial
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import TypeVar
 
@@ -28,11 +28,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from bubbleviz.calibration.cluster_covariance import cluster_covariances
+from bubbleviz.calibration.fit_errors import height_rings, jackknife_errors, tile_errors
 from bubbleviz.calibration.identification import Identification
 from bubbleviz.calibration.rest_frames import FrameSamples, collect
 from bubbleviz.calibration.surface import Quantity
-from bubbleviz.camera import RangeObserver, ShapeRanges
+from bubbleviz.camera import BlockSquares, RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import PRESSURE_SCALE, RIM_SLACK_M
 from bubbleviz.membrane import (
@@ -54,11 +54,9 @@ from bubbleviz.recordings import (
     LAG,
     MIN_FRAMES,
     SIGNIFICANT,
-    DepthStatistics,
     FrameSource,
     error_of_mean,
     robust_sigma,
-    student_factor,
     tukey_loss,
     tukey_slopes,
     tukey_weights,
@@ -93,9 +91,6 @@ temperature, so a press within it does not have this error."""
 _EDGE_OF_DENT = 0.25
 """Share of a dent's largest depth beyond which nodes may be in contact. A flat plate that covers a
 dome to 0.85 of its radius has its contact edge there; smaller or rounder objects have it deeper."""
-_RINGS = 4
-"""Parts of the view for the jackknife, from rim to top, each larger than the correlation length of
-model errors. What differs between left and right is an unknown of the fit."""
 _TOLERANCE = 3e-4  # relative change of the sum of squares that ends the fit, far below its noise
 _MAX_EVALUATIONS = 60
 _PRESSURE_STEP = 10.0
@@ -440,10 +435,17 @@ class RubberProblem:
         ]
         # With uneven rubber, or a wrong surface where it is hidden, parts of the view are fitted
         # best by different rubber: the jackknife over them estimates this error.
-        rings = np.tile(height_rings(self._observer), len(self._shapes))
+        rings, squares = (
+            np.tile(part, len(self._shapes))
+            for part in (
+                height_rings(self._observer),
+                BlockSquares(self._observer.block_number, self._observer.columns).of_block,
+            )
+        )
         errors += list(jackknife_errors(lambda kept: step(weight * kept), rings))
+        errors += list(tile_errors(influence, known, squares, _MATERIAL))
         # of the shapes with their model errors, for the tempering; then with the priors' errors
-        covariance = self._noise(influence, known) + sum(np.outer(e, e) for e in errors)
+        covariance = np.transpose(errors) @ errors
         white = inverse[1] @ by_data @ inverse[1]
         temper = float(covariance[1, 1] / white)
         covariance = covariance + inverse @ priors.T @ priors @ inverse.T
@@ -469,42 +471,6 @@ class RubberProblem:
             for shapes, at_rest_m in found
             if shapes is not None
         ]
-
-    @cached_property
-    def _observed(self) -> list[tuple[DepthStatistics, np.ndarray]]:
-        """Statistics and ranges (F, B) of the blocks, at rest and of each shape, m; NaN: unseen."""
-        out = []
-        for samples in (self._rest, *self._shapes):
-            seen = [self._observer.observe(image) for image in samples.depth_m]
-            ranges = [np.where(each.weight > 0.0, each.residual_m, np.nan) for each in seen]
-            out.append((samples.statistics, np.stack(ranges)))
-        return out
-
-    def _noise(
-        self,
-        influence: np.ndarray,  # (S·B, 5), of every change of range
-        residual_m: np.ndarray,  # (S·B,)
-    ) -> np.ndarray:
-        """Covariance (5, 5) by the noise of all frames and the residuals of the model."""
-        shape = len(self._shapes), self._observer.blocks
-        influences, residuals = influence.reshape(*shape, -1), residual_m.reshape(shape)
-        at_rest = -influences.sum(axis=0), np.zeros(shape[1])
-        every = [at_rest, *zip(influences, residuals, strict=True)]
-        observer, total = self._observer, np.zeros((_MATERIAL, _MATERIAL))
-        for (statistics, every_m), (own, residual) in zip(self._observed, every, strict=True):
-            used = np.flatnonzero(own.any(axis=1))
-            ranges_m = every_m[:, used]
-            total += sum(
-                cluster_covariances(
-                    statistics,
-                    (observer.block_number[used], observer.columns, observer.block),
-                    ranges_m - np.nanmean(ranges_m, axis=0),
-                    own[used],
-                    residual[used],
-                    _MATERIAL,
-                )
-            )
-        return total
 
 
 def _kept(compute: Callable[[np.ndarray], T]) -> Callable[[np.ndarray], T]:
@@ -558,29 +524,6 @@ def _dent_nodes(
     adjacent = abs(laplacian) @ zone.astype(float) > 0.0
     hidden = total == 0.0
     return np.flatnonzero(zone | (adjacent & hidden & ~mesh.rim))
-
-
-def jackknife_errors(
-    fit: Callable[[np.ndarray], np.ndarray],  # (Q,) of weights 1 or 0 of the blocks
-    part: np.ndarray,  # of each block, int from 0
-) -> np.ndarray:
-    """Errors (K, Q) of a fit by model errors that differ between K parts of the view.
-
-    By fits without each part, widened as there are few parts.
-    """
-    count = int(part.max()) + 1
-    found = np.stack([fit((part != k).astype(float)) for k in range(count)])
-    widened: np.ndarray = np.sqrt((count - 1) / count) * student_factor(count - 1) * found
-    return widened - widened.mean(axis=0)
-
-
-def height_rings(observer: RangeObserver) -> np.ndarray:
-    """Ring of each block, (B,) int, of equal numbers of blocks from rim to top."""
-    mesh = observer.mesh
-    hits = observer.around(mesh.nodes).hits
-    height = np.full(observer.blocks, -np.inf)
-    height[hits.ray] = hits.values(mesh.nodes[:, 2], mesh.triangles)
-    return np.searchsorted(np.quantile(height, np.arange(1, _RINGS) / _RINGS), height)
 
 
 def _check_rise(name: str, rise: float, gauge_pa: float, *, pressed: bool) -> None:

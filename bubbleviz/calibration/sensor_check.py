@@ -16,11 +16,8 @@ from typing import Literal
 import numpy as np
 from scipy.special import chdtri, ndtr
 
-from bubbleviz.calibration.rubber_problem import (
-    PRESSURE_ERROR,
-    height_rings,
-    jackknife_errors,
-)
+from bubbleviz.calibration.fit_errors import height_rings, jackknife_errors, tile_errors
+from bubbleviz.calibration.rubber_problem import PRESSURE_ERROR
 from bubbleviz.camera import IMAGE_ERRORS, BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
@@ -348,11 +345,11 @@ class _RestComparison:
         """
         causes = (cause, *(each for each in causes if each != cause))
         influence, left_m = self._influence(causes), self._without(causes)
-        sizes, of_square = influence @ self.mean_m, self._squares.of_block
+        sizes, squares = influence @ self.mean_m, self._squares.of_block
         of_gas = np.array([each == _GAS for each in causes], float)
         errors = [
             np.array([[error_of_mean(self.frames_m @ each)] for each in influence]),
-            np.array([np.bincount(of_square, each * left_m) for each in influence]),
+            tile_errors(influence.T, left_m, squares, len(causes)).T,
             jackknife_errors(lambda kept: self._influence(causes, kept) @ left_m, self._ring).T,
             material * (of_gas @ sizes) * influence @ self._by_gas[1].T,
         ]

@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.calibration.cluster_covariance import cluster_covariances, tile_numbers, tile_side
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration.fit_errors import drift_deviations, tile_errors, tile_numbers, tile_side
 from bubbleviz.calibration.free_form import FreeForm, fit_free_form, fold_of, left_out_errors
 from bubbleviz.calibration.rest_frames import (
     FrameSamples,
@@ -37,7 +37,7 @@ from bubbleviz.membrane import (
     mesh_cap,
 )
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.recordings import mean_inflation, robust_sigma, tukey_slopes, tukey_weights
 from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of, rounded
 
@@ -249,6 +249,7 @@ def _choose(squares: dict[SurfaceName, np.ndarray], facet_error_m: float) -> Sur
 # γ0 and the dome's dimensions with 95 % intervals and an error budget.
 
 
+_BLOCK_INFLATIONS = 2.0  # length of a block of frames in correlation times
 _CLIP = 3.0  # standard deviations beyond which the mean of a pixel ignores samples
 
 
@@ -293,7 +294,7 @@ class Quantity:
         return cls(value, value - HALF_95 * sigma, value + HALF_95 * sigma, source)
 
 
-def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress = quiet) -> Surfaces:
+def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
     """The surfaces with γ0 by Young–Laplace: P R/2 of a sphere, else by force balance.
 
     Raises InputError: no tension balances the chosen surface.
@@ -303,7 +304,12 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress =
         linear = _linear_free_form(surfaces)
     else:
         linear = _linear_cap(samples, surfaces)
-    now, (tiles, frames) = linear[0], _errors(samples, linear, stride, progress)
+    statistics, (now, pixels, *_) = samples.statistics, linear
+    # fitted pixels that count as one
+    together = max(1.0, statistics.correlated_pixels / stride**2)
+    side = stride * tile_side(len(pixels), statistics.correlation_length_px / stride)
+    tile = tile_numbers(pixels, samples.camera.intrinsics.width, side)
+    tiles, frames = _errors(samples, linear, together, tile)
     sphere, cap = surfaces.sphere, surfaces.cap
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * float(sphere.semi_axes_m[0]),
@@ -312,8 +318,6 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress =
     }
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
-    # fitted pixels that count as one
-    together = max(1.0, samples.statistics.correlated_pixels / stride**2)
     shape = [
         free_form.tension_sigma_m * np.sqrt(together),
         by_surface["free-form"] - by_surface[other],
@@ -345,27 +349,24 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces, progress: Progress =
 
 
 def _errors(
-    samples: FrameSamples, linear: Linear, stride: int, progress: Progress
-) -> list[np.ndarray]:
+    samples: FrameSamples,
+    linear: Linear,
+    together: float,  # fitted pixels that count as one
+    tile: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
     """Standard deviations of the quantities by the pixels, and by drift of the frames."""
-    now, pixels, influence, residual_m, parameters = linear
-    statistics, width = samples.statistics, samples.camera.intrinsics.width
-    (row, column), columns = np.divmod(pixels, width), -(-width // stride)
-    to_depth = samples.camera.range_per_depth.ravel()[pixels].astype(float)
+    _, pixels, influence, residual_m, parameters = linear
+    statistics, range_m = samples.statistics, samples.statistics.range_m.ravel()[pixels]
     noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
-    depth_m = samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels]
-    error_m = depth_m - np.nan_to_num(statistics.range_m.ravel()[pixels] / to_depth)
-    error_m[np.abs(error_m) > _CLIP * noise / to_depth] = np.nan
-    covariances = cluster_covariances(
-        statistics,
-        (row // stride * columns + column // stride, columns, stride),
-        error_m,
-        influence * to_depth[:, None],
-        residual_m / to_depth,
-        parameters,
-        progress,
+    ranges = samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels]
+    error_m = ranges * samples.camera.range_per_depth.ravel()[pixels] - np.nan_to_num(range_m)
+    error_m[~(np.abs(error_m) <= _CLIP * noise)] = 0.0
+    of_mean = noise * np.sqrt(together / statistics.effective_frames)
+    block = round(_BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation))
+    return (
+        np.linalg.norm(tile_errors(influence, residual_m, tile, parameters), axis=0),
+        drift_deviations(influence, error_m, of_mean, block),
     )
-    return [np.sqrt(np.diag(each)[: len(now)]) for each in covariances]
 
 
 Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]

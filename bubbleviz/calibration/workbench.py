@@ -176,11 +176,12 @@ class Workbench:
         if settings.vented is not None:
             vented = self._of_other(settings.vented, "vented", open_chamber)
         with _errors_name(self.source):
+            progress("error of the mean", 0.0)
             gauge = rest_gauge(found.samples, self.sensor, vented)
             surfaces = self._cached(
                 "tension",
                 (found.ranges, settings.nodes, settings.surface),
-                lambda: with_tension(found.samples, found.surfaces, part_of(progress, 0.0, 0.5)),
+                lambda: with_tension(found.samples, found.surfaces),
             )
         every = [level.result() for level in levels]
         plain = rectify(replace(found, surfaces=surfaces, gauge=gauge, vented=vented), every)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, covariances
+from bubbleviz.calibration import Quantity, drift_deviations, tile_errors
 from bubbleviz.membrane import (
     EllipsoidalCap,
     MembraneMesh,
@@ -166,8 +166,11 @@ def test_covariance_includes_fixed_pattern_drift_and_noise(fixed, drift, noise):
         error = pattern / frames + common[:, None] / tiles + free
         mean = error.sum(axis=0)
         static = mean - mean.mean()  # a fit leaves none of what all tiles share
-        moving = error - error.mean(axis=0)
-        said.append(np.sqrt(sum(covariances(static[:, None], moving[:, :, None], 1, 1)).item()))
+        moving = frames * (error - error.mean(axis=0))
+        every = np.ones((tiles, 1)), np.full(tiles, noise / np.sqrt(tiles))
+        own = tile_errors(every[0], static, np.arange(tiles), 1)
+        drifted = drift_deviations(every[0], moving, every[1], 1).item()
+        said.append(np.hypot(np.linalg.norm(own), drifted))
         was.append(error.sum())
     assert np.mean(np.square(said)) == pytest.approx(fixed**2 + drift**2 + noise**2, rel=0.3)
     assert np.mean(np.square(said)) == pytest.approx(np.mean(np.square(was)), rel=0.5)
@@ -176,15 +179,15 @@ def test_covariance_includes_fixed_pattern_drift_and_noise(fixed, drift, noise):
 def test_intervals_cover_with_many_parameters_and_few_tiles():
     """Least squares of eight numbers from sixteen tiles of one pixel: one of them, 300 times."""
     rng = np.random.default_rng(0)
-    tiles, fitted, still = 16, 8, np.zeros((1, 16, 1))
+    tiles, fitted = 16, 8
     covered = []
     for _ in range(300):
         design = rng.standard_normal((tiles, fitted))
         influence = np.linalg.pinv(design)
         noise = rng.standard_normal(tiles)
         residual = noise - design @ (influence @ noise)
-        own = sum(covariances((influence[0] * residual)[:, None], still, fitted, 1)).item()
-        covered.append(abs(influence[0] @ noise) < 1.96 * np.sqrt(own))
+        own = np.linalg.norm(tile_errors(influence[:1].T, residual, np.arange(tiles), fitted))
+        covered.append(abs(influence[0] @ noise) < 1.96 * own)
     assert 0.88 < np.mean(covered) < 0.98
 
 
@@ -193,7 +196,7 @@ def test_intervals_cover_a_drift_over_three_frames():
     frames, tiles, covered = 3, 40, []
     for _ in range(400):
         drift = rng.standard_normal(frames)
-        moving = np.repeat((drift - drift.mean())[:, None, None] / tiles, tiles, axis=1)
-        own = sum(covariances(np.zeros((tiles, 1)), moving, 1, 1)).item()
-        covered.append(abs(drift.sum()) < 1.96 * np.sqrt(own))
+        moving = np.repeat((drift - drift.mean())[:, None], tiles, axis=1)
+        own = drift_deviations(np.full((tiles, 1), 1.0 / tiles), moving, np.zeros(tiles), 1).item()
+        covered.append(abs(drift.mean()) < 1.96 * own)
     assert 0.88 < np.mean(covered) < 0.98
