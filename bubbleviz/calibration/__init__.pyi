@@ -4,7 +4,6 @@ from .ellipsoid import (
     fit_sphere as fit_sphere,
 )
 from .fit_errors import (
-    drift_deviations as drift_deviations,
     tile_errors as tile_errors,
 )
 from .identification import (

@@ -2,8 +2,7 @@
 
 A parameter changes by Σ s_p ε_p when range p has the error ε_p; the `influence` s comes from the
 linearised fit. Errors are correlated between neighbouring pixels (fixed pattern of the camera,
-shape finer than the fit) and between frames (drift of gas or camera), or differ between parts of
-the view (a model that does not hold).
+shape finer than the fit), or differ between parts of the view (a model that does not hold).
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from bubbleviz.camera import RangeObserver
 from bubbleviz.recordings import student_factor
 
 _MIN_TILES = 30  # fewer determine their spread poorly
-_MIN_BLOCKS = 5  # of frames in a recording, however long their errors are correlated
 _RINGS = 4
 """Parts of the view for the jackknife, from rim to top, each larger than the correlation length of
 model errors. What differs between left and right is an unknown of the fit."""
@@ -52,25 +50,6 @@ def tile_errors(
     freedom = max(1, count - parameters)
     widened: np.ndarray = np.sqrt(count / freedom) * student_factor(freedom) * sums
     return widened
-
-
-def drift_deviations(
-    influence: np.ndarray,  # (P, Q)
-    error_m: np.ndarray,  # (F, P), ranges of each frame minus their mean, m
-    noise_m: np.ndarray,  # (P,), standard deviation of the mean by the noise of pixels, m
-    block: int,  # frames of a block; reduced where there would be fewer than five
-) -> np.ndarray:
-    """Standard deviations (Q,) of a fit to the mean of frames, beyond the noise of pixels.
-
-    By the variance over blocks of frames, whose errors are independent.
-    """
-    frames = len(error_m)
-    starts = np.arange(0, frames, max(1, min(block, frames // _MIN_BLOCKS)))
-    sums = np.add.reduceat(error_m @ influence, starts) / frames
-    drift = np.sum((sums - sums.mean(axis=0)) ** 2, axis=0)
-    noise = np.sum((influence * noise_m[:, None]) ** 2, axis=0)
-    factor = student_factor(max(1, len(starts) - 1))
-    return np.asarray(factor * np.sqrt(np.maximum(drift - noise, 0.0)))
 
 
 def jackknife_errors(

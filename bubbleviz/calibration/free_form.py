@@ -25,7 +25,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from bubbleviz.camera import DepthCamera, RayCaster
 from bubbleviz.membrane import MembraneMesh, balance_gradient, cotangent_laplacian
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.recordings import robust_sigma, tukey_weights
 
 _FOLDS = 5  # of the cross-validation; the usual number
 _SHIFTS = (0.0, 0.0), (1.0 / 3.0, 2.0 / 3.0), (2.0 / 3.0, 1.0 / 3.0)
@@ -38,18 +38,15 @@ _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A free-form surface, and the influence of pixels on its γ0 and height."""
+    """A free-form surface, and the errors of its γ0 and height."""
 
     mesh: MembraneMesh  # the corrected surface in B
     # (H, W), measured minus predicted range of each pixel, by a fit without its tile, m; NaN: none
     left_out_m: np.ndarray
-    pixels: np.ndarray  # (P,) int, flat indices of the pixels fitted
-    # (P, 2), derivative of γ0 under 1 Pa (m) and of the apex's height by each of their ranges
-    influence: np.ndarray
-    # σ of γ0 under 1 Pa by the posterior, m, for pixels that err independently by the rms error in
-    # tiles left out of the fit: Bayesian intervals of a smoothing spline (Wahba 1983) include the
-    # rim and hidden parts, which the prior alone determines
-    tension_sigma_m: float
+    # (2,), σ of γ0 under 1 Pa and of the apex's height by the posterior, m, for pixels that err
+    # independently by the rms error in tiles left out of the fit: Bayesian intervals of a smoothing
+    # spline (Wahba 1983) include the rim and hidden parts, which the prior alone determines
+    sigma_m: np.ndarray
 
 
 def fit_free_form(
@@ -86,9 +83,7 @@ def fit_free_form(
         D = caster.jacobian(nodes, hits, arms)[:, order]
         residual = range_m.ravel()[hits.ray] - hits.range_m
         target = residual + D @ correction[order]
-        about = residual - np.median(residual)
-        sigma = robust_sigma(residual)
-        weights = tukey_weights(about, sigma)
+        weights = tukey_weights(residual - np.median(residual), robust_sigma(residual))
         # λ at which data and prior have equal trace
         unit = float(np.sum(D.multiply(D).T @ weights) / prior.diagonal().sum())
         if k < len(searches):
@@ -109,9 +104,7 @@ def fit_free_form(
     return FreeForm(
         mesh=mesh,
         left_out_m=left_out_image.reshape(range_m.shape),
-        pixels=hits.ray,
-        influence=_efficiency(about, sigma) * weights[:, None] * (D @ adjoint),
-        tension_sigma_m=left_out_rms * float(np.sqrt(gradients[:, 0] @ adjoint[:, 0])),
+        sigma_m=left_out_rms * np.sqrt(np.sum(gradients * adjoint, axis=0)),
     )
 
 
@@ -125,12 +118,6 @@ def _gradients(mesh: MembraneMesh) -> np.ndarray:
     gradients[:, 0] = balance_gradient(mesh, 1.0, arms)
     gradients[apex, 1] = arms[apex, 2]
     return gradients
-
-
-def _efficiency(residuals: np.ndarray, sigma: float) -> float:
-    """Factor by which the matrix of weights overstates the curvature of the robust loss."""
-    slope = float(tukey_slopes(residuals, sigma).mean())
-    return float(tukey_weights(residuals, sigma).mean()) / slope if slope > 0.0 else 1.0
 
 
 def _prior(mesh: MembraneMesh, scale_m: float) -> sparse.csc_array:

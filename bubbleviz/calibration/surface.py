@@ -18,7 +18,7 @@ from scipy import sparse
 
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
 from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
-from bubbleviz.calibration.fit_errors import drift_deviations, tile_errors, tile_numbers, tile_side
+from bubbleviz.calibration.fit_errors import tile_numbers, tile_side
 from bubbleviz.calibration.free_form import FreeForm, fit_free_form, fold_of, left_out_errors
 from bubbleviz.calibration.rest_frames import (
     FrameSamples,
@@ -37,7 +37,7 @@ from bubbleviz.membrane import (
     mesh_cap,
 )
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import mean_inflation, robust_sigma, tukey_slopes, tukey_weights
+from bubbleviz.recordings import robust_sigma, tukey_weights
 from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of, rounded
 
@@ -80,12 +80,12 @@ class Surfaces:
     motion_m: float  # largest motion of the dome between frames beyond noise, m
     # by `with_tension`: γ0 of the chosen surface under 1 Pa, m, with the error of the shape
     tension_m: Quantity = NOT_YET
-    # standard deviation of it by each source of error: `pixels` (noise, and fixed pattern of the
-    # camera), `frames` (drift beyond noise), `facets` (of the mesh), `surface` (hidden or
-    # unresolved shape: uncertainty of the free form, difference between free form and cap, and,
-    # where a cap was chosen, between that and one fitted to the upper half alone) and `statics`
-    # (mean tension that shape and pressure do not determine: between that of a soap film and that
-    # of an initially flat sheet)
+    # standard deviation of it by each source of error: `frames` (motion of the dome), `facets` (of
+    # the mesh), `surface` (noise and fixed pattern of the pixels, hidden or unresolved shape:
+    # uncertainty of the free form, difference between free form and cap, and, where a cap was
+    # chosen, between that and one fitted to the upper half alone) and `statics` (mean tension that
+    # shape and pressure do not determine: between that of a soap film and that of an initially
+    # flat sheet)
     tension_parts_m: dict[str, float] = NOT_YET
     tension_by_surface_m: dict[SurfaceName, float] = NOT_YET  # under 1 Pa, of every surface
     # under 1 Pa by least squares over the nodes of the mesh instead of the overall balance; smaller
@@ -249,10 +249,6 @@ def _choose(squares: dict[SurfaceName, np.ndarray], facet_error_m: float) -> Sur
 # γ0 and the dome's dimensions with 95 % intervals and an error budget.
 
 
-_BLOCK_INFLATIONS = 2.0  # length of a block of frames in correlation times
-_CLIP = 3.0  # standard deviations beyond which the mean of a pixel ignores samples
-
-
 @dataclass(frozen=True)
 class Quantity:
     """A value with its 95 % interval, in one SI unit."""
@@ -299,17 +295,17 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
 
     Raises InputError: no tension balances the chosen surface.
     """
-    free_form, stride = surfaces.free_form, surfaces.stride
-    if surfaces.chosen == "free-form":
-        linear = _linear_free_form(surfaces)
-    else:
-        linear = _linear_cap(samples, surfaces)
-    statistics, (now, pixels, *_) = samples.statistics, linear
+    free_form = surfaces.free_form
     # fitted pixels that count as one
-    together = max(1.0, statistics.correlated_pixels / stride**2)
-    side = stride * tile_side(len(pixels), statistics.correlation_length_px / stride)
-    tile = tile_numbers(pixels, samples.camera.intrinsics.width, side)
-    tiles, frames = _errors(samples, linear, together, tile)
+    together = max(1.0, samples.statistics.correlated_pixels / surfaces.stride**2)
+    now = {
+        "tension_m": balance_tension(free_form.mesh, 1.0),
+        "height_m": float(free_form.mesh.nodes[:, 2].max()),
+    }
+    sigmas = free_form.sigma_m
+    if surfaces.chosen != "free-form":
+        now, sigmas = _cap_deviations(samples, surfaces)
+    sigmas = np.sqrt(together) * sigmas
     sphere, cap = surfaces.sphere, surfaces.cap
     by_surface: dict[SurfaceName, float] = {
         "sphere": 0.5 * float(sphere.semi_axes_m[0]),
@@ -319,7 +315,7 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
     shape = [
-        free_form.tension_sigma_m * np.sqrt(together),
+        free_form.sigma_m[0] * np.sqrt(together),
         by_surface["free-form"] - by_surface[other],
     ]
     if surfaces.chosen != "free-form":
@@ -327,8 +323,7 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
     value, sheet = now["tension_m"], as_flat_sheet(surfaces.mesh)
     excess = 0.0 if sheet is None else value * sheet[1]
     parts = {
-        "pixels": float(tiles[0]),
-        "frames": float(frames[0]),
+        "frames": value * surfaces.motion_m / float(surfaces.sphere.semi_axes_m[0]),
         "facets": 0.5 * facets,
         "surface": float(np.linalg.norm(shape)),
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
@@ -341,62 +336,26 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
         tension_by_surface_m=by_surface,
         least_squares_m=least_squares_tension(surfaces.mesh, 1.0),
         dimensions={
-            name: Quantity.normal(size, float(np.linalg.norm([facets, *errors])))
-            for (name, size), *errors in list(zip(now.items(), tiles, frames, strict=True))[1:]
+            name: Quantity.normal(size, float(np.hypot(facets, sigma)))
+            for (name, size), sigma in list(zip(now.items(), sigmas, strict=True))[1:]
         },
         flat_sheet=sheet,
     )
 
 
-def _errors(
-    samples: FrameSamples,
-    linear: Linear,
-    together: float,  # fitted pixels that count as one
-    tile: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of the quantities by the pixels, and by drift of the frames."""
-    _, pixels, influence, residual_m, parameters = linear
-    statistics, range_m = samples.statistics, samples.statistics.range_m.ravel()[pixels]
-    noise = np.maximum(statistics.noise_m.ravel()[pixels], statistics.quantum_m)
-    ranges = samples.depth_m.reshape(len(samples.depth_m), -1)[:, pixels]
-    error_m = ranges * samples.camera.range_per_depth.ravel()[pixels] - np.nan_to_num(range_m)
-    error_m[~(np.abs(error_m) <= _CLIP * noise)] = 0.0
-    of_mean = noise * np.sqrt(together / statistics.effective_frames)
-    block = round(_BLOCK_INFLATIONS * mean_inflation(statistics.temporal_correlation))
-    return (
-        np.linalg.norm(tile_errors(influence, residual_m, tile, parameters), axis=0),
-        drift_deviations(influence, error_m, of_mean, block),
-    )
-
-
-Linear = tuple[dict[str, float], np.ndarray, np.ndarray, np.ndarray, int]
-"""Quantities (γ0 under 1 Pa first), pixels (P,), influence (P, Q), residual range (P,) and count of
-fitted parameters."""
-
-
-def _linear_cap(samples: FrameSamples, surfaces: Surfaces) -> Linear:
+def _cap_deviations(
+    samples: FrameSamples, surfaces: Surfaces
+) -> tuple[dict[str, float], np.ndarray]:
+    """Numbers of the chosen cap, and their standard deviations (Q,) by errors of single pixels."""
     own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     numbers = _cap_numbers(own, sphere=sphere)
     pixels = np.flatnonzero((surfaces.fitted & np.isfinite(samples.statistics.range_m)).ravel())
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
     distance, J = own.distance(points), own.derivatives(points, sphere=sphere)
-    sigma = robust_sigma(distance, center=0.0)
-    weights, slopes = tukey_weights(distance, sigma), tukey_slopes(distance, sigma)
-    facing = np.einsum("ij,ij->i", own.normals(points), surfaces.camera.directions[pixels])
-    rows = -np.linalg.solve(J.T @ (J * slopes[:, None]), J.T).T * (weights * facing)[:, None]
-    influence = rows @ _gradient(numbers, own, J.shape[1])
-    return numbers(own), pixels, influence, distance / facing, rows.shape[1]
-
-
-def _linear_free_form(surfaces: Surfaces) -> Linear:
-    free_form = surfaces.free_form
-    residual_m = surfaces.residual_m.ravel()[free_form.pixels]
-    influence = np.where(np.isnan(residual_m)[:, None], 0.0, free_form.influence)
-    now = {
-        "tension_m": balance_tension(free_form.mesh, 1.0),
-        "height_m": float(free_form.mesh.nodes[:, 2].max()),
-    }
-    return now, free_form.pixels, influence, np.nan_to_num(residual_m), 2
+    sigma, gradient = robust_sigma(distance, center=0.0), _gradient(numbers, own, J.shape[1])
+    normal = J.T @ (J * tukey_weights(distance, sigma)[:, None])
+    squares = np.sum(gradient * np.linalg.solve(normal, gradient), axis=0)
+    return numbers(own), sigma * np.sqrt(squares)
 
 
 def _upper_half(samples: FrameSamples, surfaces: Surfaces) -> float:

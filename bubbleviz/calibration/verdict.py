@@ -22,15 +22,13 @@ _LEVELS = (
 )
 _FARTHER = "record levels farther apart, or more (--level)"
 _OF_TENSION = {
-    "pixels": "record more frames, which reduces noise but not a fixed pattern (largest error: "
-    "noise and fixed pattern of the pixels)",
     "frames": "let gas and camera settle before recording (largest error: drift between frames)",
     "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
     "gauge_pressure": "{chamber} (largest error: gauge pressure)",
     "statics": "not possible (largest error: tension that differs over the membrane, which shape "
     "and pressure do not determine)",
-    "surface": "uncover the whole dome, rim included (largest error: shape that is hidden or too "
-    "fine for the fit)",
+    "surface": "uncover the whole dome, rim included, and record more frames (largest error: shape "
+    "that is hidden, or below noise and fixed pattern of the pixels)",
 }
 """What would narrow γ0's interval, by its largest part."""
 

@@ -176,7 +176,6 @@ class Workbench:
         if settings.vented is not None:
             vented = self._of_other(settings.vented, "vented", open_chamber)
         with _errors_name(self.source):
-            progress("error of the mean", 0.0)
             gauge = rest_gauge(found.samples, self.sensor, vented)
             surfaces = self._cached(
                 "tension",

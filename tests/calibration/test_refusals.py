@@ -120,4 +120,4 @@ def test_a_cancelled_step_stops_at_once(twin):
 
     with pytest.raises(Cancelled):
         identify(twin, nominal_sensor(), range(12), nodes=200, progress=progress)
-    assert steps[0] == "reading frames" and "error of the mean" not in steps
+    assert steps[0] == "reading frames" and "fitting the rubber" not in steps
