@@ -39,7 +39,7 @@ Pixels = Annotated[float, Field(ge=-1e5, le=1e5)]
 MIN_NOISE = 1e-6
 """Smallest relative noise: 0.1 µm at 100 mm, a thousandth of what depth cameras resolve."""
 
-LARGEST_GRADIENT = 0.7  # of the stiffness along one axis: along both, it is positive everywhere
+LARGEST_GRADIENT = 0.4  # of the stiffness: with all three at once, it is positive everywhere
 Gradient = Annotated[float, Field(ge=-LARGEST_GRADIENT, le=LARGEST_GRADIENT)]
 
 Vector3 = tuple[float, float, float]
@@ -93,6 +93,9 @@ class Membrane(Section):
     stiffness_gradient_x: Gradient | None = None
     """Relative change of the rubber's stiffness from the middle to the rim along x; absent: 0."""
     stiffness_gradient_y: Gradient | None = None
+    stiffness_gradient_r: Gradient | None = None
+    """Relative change from the mean to the rim, all around; from the mean to the middle its
+    opposite; absent: 0."""
     nodes: int = Field(default=800, ge=30, le=100_000)
 
     @model_validator(mode="after")
@@ -202,6 +205,7 @@ class Calibration(Section):
     sheet_share_interval: tuple[float, float] | None = None
     stiffness_gradient_x_interval: tuple[float, float] | None = None
     stiffness_gradient_y_interval: tuple[float, float] | None = None
+    stiffness_gradient_r_interval: tuple[float, float] | None = None
     edited: tuple[str, ...] | None = None
     """Keys of values changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
@@ -260,6 +264,7 @@ MEASURED = {
     "membrane.sheet_share": ("sheet_share_interval",),
     "membrane.stiffness_gradient_x": ("stiffness_gradient_x_interval",),
     "membrane.stiffness_gradient_y": ("stiffness_gradient_y_interval",),
+    "membrane.stiffness_gradient_r": ("stiffness_gradient_r_interval",),
 }
 """Keys of `Calibration` that describe a value, by the key of the value."""
 

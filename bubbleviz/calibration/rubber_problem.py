@@ -3,13 +3,13 @@
 The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except for
 what an oval rim leaves open: the stress lies between that of a film and that of an initially flat
 sheet, at a share from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose stiffness μh may
-change linearly with x and y. When the gas pressure changes by a measured Δp, the shape depends on
-q, on (G + Δp)/G, on that share and gradient, and in a press on the contact pressures. The unknowns
-are q, G, the share, the gradient, the contact pressures of the nodes in the dent (an inflation
-level has none), and the errors of the gas pressures. The residuals are the changes of range from
-rest, in which fixed errors of camera and mesh cancel, the difference from the G of the sensor file
-or open chamber, those of the share and the gradient from what is likely, and the pressure errors,
-each over its standard deviation.
+change linearly with x and y, and from middle to rim. When the gas pressure changes by a measured
+Δp, the shape depends on q, on (G + Δp)/G, on that share and gradient, and in a press on the contact
+pressures. The unknowns are q, G, the share, the gradient, the contact pressures of the nodes in the
+dent (an inflation level has none), and the errors of the gas pressures. The residuals are the
+changes of range from rest, in which fixed errors of camera and mesh cancel, the difference from the
+G of the sensor file or open chamber, those of the share and the gradient from what is likely, and
+the pressure errors, each over its standard deviation.
 
 The noise of a hundred thousand pixels averages out, and would outweigh the prior knowledge, but
 model errors do not. So the range residuals are tempered: their weight is divided by the ratio of
@@ -45,9 +45,9 @@ from bubbleviz.membrane import (
     RubberMembrane,
     cotangent_laplacian,
     mean_curvature,
-    place_over_rim,
     prestressed,
     settled,
+    stiffness_changes,
 )
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -73,10 +73,10 @@ _MIN_GAUGE = 0.1  # over the initial gauge pressure
 _SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 """Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
 _GRADIENT_SIGMA = 0.1
-"""Standard deviation of the relative change of stiffness from the middle to the rim. By ISO 3302-1
-a moulded thickness of 1 mm has a tolerance of ±0.10 (M1), ±0.15 (M2) or ±0.40 mm (M3): ±0.2 is
-taken as the 95 % interval."""
-_RUBBER, _MATERIAL = [0, 2, 3, 4], 5
+"""Standard deviation of a gradient, which is half the range of stiffness over the membrane. By ISO
+3302-1 a moulded thickness of 1 mm has a tolerance of ±0.10 (M1), ±0.15 (M2) or ±0.40 mm (M3): ±0.2
+is taken as the 95 % interval."""
+_RUBBER, _MATERIAL = [0, 2, 3, 4, 5], 6
 """Places of q, share and gradient, and number of unknowns before the contact pressures, of which
 the second is G over the initial one."""
 _NO_NODES = np.zeros(0, int)
@@ -99,8 +99,8 @@ contact to some hundred nodes of up to a few gauge pressures, is then taken whol
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
 T = TypeVar("T")
-Rubber = Callable[[float, float, float, float], RubberMembrane]
-"""The membrane as a function of q, share and gradient, under a gauge pressure of 1 Pa."""
+Rubber = Callable[..., RubberMembrane]
+"""The membrane at a gauge pressure of 1 Pa as a function of q, share, and gradient in x, y, r."""
 
 
 def _rest_rubber(
@@ -110,10 +110,10 @@ def _rest_rubber(
     film: np.ndarray,
     open_stress: np.ndarray,
 ) -> Rubber:
-    tension, place = 1.0 / mean_curvature(mesh), place_over_rim(mesh)  # γ0, m
+    tension, changes = 1.0 / mean_curvature(mesh), stiffness_changes(mesh)  # γ0, m
 
     def rubber(q: float, share: float, *gradient: float) -> RubberMembrane:
-        mu_h = tension / (1.0 - q) * (1.0 + place @ gradient)
+        mu_h = tension / (1.0 - q) * (1.0 + changes @ gradient)
         return prestressed(mesh, 1.0, mu_h, film + share * open_stress, slack_m)
 
     return rubber
@@ -188,7 +188,7 @@ class RubberProblem:
                 root = np.linalg.cholesky(laplacian[zone][:, zone].toarray()).T
                 self._smooth[place.start - _MATERIAL :][: len(zone), place] = root / PRESSURE_SCALE
         self._start_from_rest()
-        tangent = self._rubber(_INITIAL_Q[0], _SHARE, 0.0, 0.0).tangent(mesh.nodes, 1.0)
+        tangent = self._rubber(_INITIAL_Q[0], _SHARE, 0.0, 0.0, 0.0).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
         # shapes, None where the rubber has no equilibrium, and slopes of the last vector
         self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
@@ -297,8 +297,8 @@ class RubberProblem:
     def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Least squares over the shapes alone, and with a prior of relative σ on G.
 
-        Returns q, G over the initial one, share and gradient of both, (2, 5), their covariances
-        with model errors, (2, 5, 5), and the robust rms of the residuals of the second, m.
+        Returns q, G over the initial one, share and gradient of both, (2, 6), their covariances
+        with model errors, (2, 6, 6), and the robust rms of the residuals of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
         alone, others_m, temper = self._alone()
@@ -336,7 +336,7 @@ class RubberProblem:
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows and right sides of the priors on G, share, gradient, and errors of gas pressures."""
         sigma, mean = np.ones(self._size), np.zeros(self._size)
-        sigma[1:_MATERIAL] = gauge_sigma, SHARE_SIGMA, _GRADIENT_SIGMA, _GRADIENT_SIGMA
+        sigma[1:_MATERIAL] = gauge_sigma, SHARE_SIGMA, *3 * [_GRADIENT_SIGMA]
         mean[1:3] = 1.0, _SHARE
         known = [*range(1, _MATERIAL), *range(self._size)[self._errors]]
         rows = np.diag(1.0 / sigma)[known]
@@ -387,7 +387,7 @@ class RubberProblem:
         start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
-        x_scale[:_MATERIAL] = 0.1, 0.1, SHARE_SIGMA, _GRADIENT_SIGMA, _GRADIENT_SIGMA
+        x_scale[:_MATERIAL] = 0.1, 0.1, SHARE_SIGMA, *3 * [_GRADIENT_SIGMA]
         x_scale[_MATERIAL : self._errors.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
@@ -423,9 +423,9 @@ class RubberProblem:
 
         by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
         inverse = np.linalg.inv(by_data + priors.T @ priors)[:_MATERIAL]
-        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 5)
+        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 6)
         known = np.nan_to_num(residuals)
-        errors = [  # (5,) each, of the material, by one source of error
+        errors = [  # (6,) each, of the material, by one source of error
             (self._mesh.edge_length * 0.5 * mean_curvature(self._mesh)) ** 2
             * (influence.T @ (change_m - known)),
             -self._stress_sigma * (influence.T @ by_stress),

@@ -60,9 +60,9 @@ from .reference_mesh import (
     build_mesh as build_mesh,
     build_rubber as build_rubber,
     constant_tension_deviation as constant_tension_deviation,
-    place_over_rim as place_over_rim,
     reference_tension as reference_tension,
     rest_stress as rest_stress,
+    stiffness_changes as stiffness_changes,
     varied_rubber as varied_rubber,
 )
 from .rubber import (

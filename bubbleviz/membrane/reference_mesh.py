@@ -20,6 +20,7 @@ RUBBER_PARAMETERS = {
     "sheet_share": (0.0, 1.0),
     "stiffness_gradient_x": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
     "stiffness_gradient_y": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
+    "stiffness_gradient_r": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
 }
 """Limits of the parameters of the rubber in the sensor file."""
 _CONSTANT_TENSION_ERROR = 0.07
@@ -103,25 +104,28 @@ def build_rubber(
 ) -> RubberMembrane:
     """Exact membrane of a sensor on a mesh of its reference surface.
 
-    Its stiffness is μh = γ0 / (1 − λ⁻⁶) in the middle, its stress at rest balances the gauge
+    Its stiffness is μh = γ0 / (1 − λ⁻⁶) on average, its stress at rest balances the gauge
     pressure. A sensor without pre-stretch has constant tension.
     """
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
     if prestretch is None:
         return RubberMembrane.uniform(mesh, gauge, tension_n_per_m, None, rim_slack_m)
     mu_h: float | np.ndarray = shear_stiffness(tension_n_per_m, prestretch)
-    along_x, along_y = sensor.membrane.stiffness_gradient_x, sensor.membrane.stiffness_gradient_y
-    if along_x or along_y:
-        mu_h = mu_h * (1.0 + place_over_rim(mesh) @ (along_x or 0.0, along_y or 0.0))
+    gradient = [getattr(sensor.membrane, f"stiffness_gradient_{axis}") or 0.0 for axis in "xyr"]
+    if any(gradient):
+        mu_h = mu_h * (1.0 + stiffness_changes(mesh) @ gradient)
     stress = rest_stress(sensor, mesh) if stress is None else stress
     return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)
 
 
-def place_over_rim(mesh: MembraneMesh) -> np.ndarray:
-    """Centres of the triangles along x and y over the extent of the rim, (m, 2): 1 at the rim."""
+def stiffness_changes(mesh: MembraneMesh) -> np.ndarray:
+    """Relative change of stiffness of the triangles by unit gradients in x, y and r, (m, 3).
+
+    1 at the rim; in the middle 0, but −1 for that in r, so that the mean over the disc is 0.
+    """
     extent = np.abs(mesh.nodes[mesh.rim, :2]).max(axis=0)
-    centres: np.ndarray = mesh.nodes[mesh.triangles, :2].mean(axis=1) / extent
-    return centres
+    centres = mesh.nodes[mesh.triangles, :2].mean(axis=1) / extent
+    return np.column_stack([centres, 2.0 * (centres**2).sum(axis=1) - 1.0])
 
 
 def varied_rubber(

@@ -66,6 +66,9 @@ VALUES = (
     Value("membrane.stiffness_gradient_y", "Stiffness along y", "Relative change of the rubber's "
           "stiffness from the middle to the rim, in y", "", "", "stiffness_gradient_y_interval",
           "prestretch_from"),
+    Value("membrane.stiffness_gradient_r", "Stiffness at rim", "Relative change of the rubber's "
+          "stiffness from the mean to the rim", "", "", "stiffness_gradient_r_interval",
+          "prestretch_from"),
     Value("pneumatics.atmospheric_pressure_pa", "Atmosphere", "Absolute air pressure outside",
           "Pa", "gas_pressure"),
     Value("pneumatics.chamber_volume_m3", "Chamber volume", "Gas volume behind the rim plane",
