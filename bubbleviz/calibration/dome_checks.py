@@ -64,6 +64,8 @@ def _check_no_dent(
 
     Gas pressure alone makes a membrane bulge everywhere. A patch counts as a contact where it lies
     so deep inside the fitted cap, for its width, that the membrane has lost half of its curvature.
+    It is as wide as the deviation from the cap is more than usual: near the border of the view, a
+    smooth deviation of the shape is significant only in a corner of its width.
     """
     ranges, edge_px = samples.statistics.range_m, samples.statistics.correlation_length_px
     points = camera.points_at(ranges, np.arange(ranges.size))
@@ -74,9 +76,9 @@ def _check_no_dent(
     known = measured & membrane
     spread = robust_sigma(residual_m[known])
     radius = float(np.prod(cap.semi_axes_m) ** (1.0 / 3.0))
-    below = np.nan_to_num(residual_m) < -_SIGNIFICANT * spread
+    significant = np.nan_to_num(residual_m) < -_SIGNIFICANT * spread
     known |= _steep_dents(measured & ~membrane, -residual_m)
-    deep = known & below
+    deep = known & (np.nan_to_num(residual_m) < -spread)
     # A majority vote of neighbours removes single outliers and bridges holes in a patch.
     share = ndimage.uniform_filter(deep.astype(float), 5)
     deep = share > 0.5 * np.maximum(ndimage.uniform_filter(known.astype(float), 5), 1e-9)
@@ -84,15 +86,16 @@ def _check_no_dent(
     for k in range(1, count + 1):
         region = labels == k
         patch = region & known
-        if np.count_nonzero(patch) < _MIN_DENT_PIXELS:
+        deepest = patch & significant
+        if np.count_nonzero(deepest) < _MIN_DENT_PIXELS:
             continue
         area = (
             float(np.sum(pixel_m[patch] ** 2)) * np.count_nonzero(region) / np.count_nonzero(patch)
         )
-        depth = float(np.quantile(-residual_m[patch], 0.95))
+        depth = float(np.quantile(-residual_m[deepest], 0.95))
         flattened = area / np.pi / (4.0 * radius)  # r²/(4 R): half of the curvature is lost
         if depth > max(flattened, _MIN_DENT_DEPTH * radius):
-            row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
+            row, column = (round(float(x)) for x in ndimage.center_of_mass(deepest))
             raise InputError(
                 f"{samples.source_name}: in the frames taken as contact-free the membrane is "
                 f"pressed in by {1e3 * depth:.1f} mm around pixel ({column}, {row}); record the "
