@@ -173,8 +173,9 @@ class _SweepOperator:
         self._swept = wanted
 
 
-_COLD_NODES = 40
-"""Nodes of the first working set without a warm start."""
+_COLD_SHARE = 0.05
+"""Share of the membrane's area in the first working set without a warm start. A number of nodes
+would be a small spot of a contact on a mesh that is fine there."""
 _GRADIENT_TOLERANCE = 1e-6
 """Negative gradient that counts as zero, relative to the largest."""
 
@@ -192,7 +193,7 @@ class Prior:
     smoothness : (n, n) sparse array
         λ L of the H1 term, 1/Pa².
     threshold : (n,) array
-        τ of the L1 term, 1/Pa.
+        τ of the L1 term, 1/Pa: the same for each area.
     rings : (d, n) int array
         Each node and its neighbours, as of `MembraneMesh`.
     """
@@ -539,9 +540,13 @@ class ContactProblem:
         return root, root
 
     def _steepest(self, gradient: np.ndarray) -> np.ndarray:
-        """The nodes with the steepest gradient; others are added later."""
-        most = min(_COLD_NODES, len(gradient) - 1)
-        return gradient < min(0.0, np.partition(gradient, most)[most])
+        """The nodes with the steepest gradient per area; others are added later."""
+        area = self._prior.threshold  # in proportion to it
+        order = np.argsort(gradient / area)
+        before = np.cumsum(area[order]) - area[order]
+        first = np.zeros(len(gradient), bool)
+        first[order[before < _COLD_SHARE * area.sum()]] = True
+        return first & (gradient < 0.0)
 
     def gradient(self, pressure: np.ndarray) -> np.ndarray:
         """Gradient of misfit and H1 term, (n,)."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from bubbleviz.camera import RangeObserver
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import (
     GAS_NOISE,
@@ -17,9 +18,9 @@ from bubbleviz.inverse import (
     Measurements,
     Nuisances,
 )
-from bubbleviz.membrane import Gas
+from bubbleviz.membrane import Gas, build_mesh, refinement
 from bubbleviz.pipeline import Pipeline
-from tests.inverse.conftest import SENSOR, TENSION, estimator, first, press
+from tests.inverse.conftest import CAMERA, SENSOR, TENSION, estimator, first, press
 from tests.oracles.interior_point import interior_point
 
 REST_PA = SENSOR.pneumatics.reference_pressure_pa
@@ -35,6 +36,17 @@ def off(estimate, truth):
 def alike(a, b, share):
     top = np.max(a.contact_pressure_pa)
     return np.max(np.abs(a.contact_pressure_pa - b.contact_pressure_pa)) < share * top
+
+
+@pytest.mark.parametrize("noise", [3e-4, 1e-3])
+def test_a_deep_press_is_solved_from_rest_on_a_mesh_that_is_finer_there(noise):
+    mesh, truth = build_mesh(SENSOR, 600), press("sphere", 0.02)
+    for radius in (0.03, 0.02):
+        near = np.hypot(mesh.nodes[:, 0] - 0.006, mesh.nodes[:, 1] + 0.004) < radius
+        mesh = refinement(mesh, near[mesh.triangles].any(axis=1)).mesh
+    observer = RangeObserver(CAMERA, mesh, noise, block=2)
+    film = ConstantTension(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
+    assert off(first(Estimator(observer, film), truth.depth(noise)), truth) < 0.01
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])
