@@ -27,6 +27,7 @@ from .intrinsics import (
 )
 from .observer import (
     MAD as MAD,
+    SQUARES as SQUARES,
     UPPER_95 as UPPER_95,
     BlockSquares as BlockSquares,
     Measured as Measured,

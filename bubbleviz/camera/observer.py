@@ -20,12 +20,12 @@ from bubbleviz.membrane import MembraneMesh
 # Squares of blocks over the image, which show correlated noise and model errors.
 
 
-_SQUARES = 40
+SQUARES = 40
 """Number of squares, the same for every mesh: model errors are similar within a square, and the
 median needs some tens of them."""
 
 UPPER_95 = 1.6
-"""Upper 95 % limit of a median over `_SQUARES` squares, relative to that median: its standard
+"""Upper 95 % limit of a median over `SQUARES` squares, relative to that median: its standard
 deviation is a fifth."""
 
 MAD = 0.6745  # median of |z| of a standard normal z
@@ -39,7 +39,7 @@ class BlockSquares:
         blocks: np.ndarray,  # (B,) int, numbers of the blocks, row by row over the image
         columns: int,  # blocks in a row of the image
     ) -> None:
-        self.side = max(1, round(np.sqrt(len(blocks) / _SQUARES)))
+        self.side = max(1, round(np.sqrt(len(blocks) / SQUARES)))
         row, column = np.divmod(blocks, columns)
         # (B,) int, number of the square of each
         self.of_block = (row // self.side) * columns + column // self.side

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bubbleviz.camera import RangeObserver, RayCaster
+from bubbleviz.camera import SQUARES, RangeObserver, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
@@ -44,7 +44,7 @@ _FINER_RINGS, _MOVING_RINGS = 2, 6
 hold of the real press, 4 of the latter change the area, 6 do not."""
 _STEPS = 2
 """Gauss–Newton steps: the first with the noise factor of the estimate, which includes errors of its
-mesh; the second with that by the residual of the first."""
+mesh; the second with that by the residual of the first, without smooth errors."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,8 @@ class _Part:
     observer : RangeObserver
     bubble : Bubble
     prior : Prior
+    smooth : (b, 6) array
+        See `_smooth_errors`.
     resolution_m : float
         At the noise of the camera.
     """
@@ -68,6 +70,7 @@ class _Part:
     observer: RangeObserver
     bubble: Bubble
     prior: Prior
+    smooth: np.ndarray
     resolution_m: float
 
 
@@ -84,6 +87,9 @@ class ContactRefiner:
     def __init__(self, model: SensorModel, estimator: Estimator) -> None:
         self._model, self._estimator = model, estimator
         self._reuse_m = TANGENT_REUSE * 0.5 * model.mesh.edge_length
+        # of the mean error of a square, by which noise factors are determined
+        of_square = estimator.information * model.mesh.facet_areas.sum() / SQUARES
+        self._mean_sigma_m = float(of_square) ** -0.5
         self._last: _Part | None = None
 
     def refine(self, depth_m: np.ndarray, estimate: Estimate) -> FineContact | None:
@@ -137,6 +143,7 @@ class ContactRefiner:
             observer,
             self._bubble(finer),
             prior,
+            _smooth_errors(observer),
             resolution_m(estimator.prior_weight, self._model.tension_n_per_m, information),
         )
 
@@ -180,13 +187,16 @@ class ContactRefiner:
         off_m = np.zeros(observer.blocks)
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
+        beyond_m = np.sqrt(max(noise**2 - 1.0, 0.0)) * self._mean_sigma_m
+        sigma_m = np.full(part.smooth.shape[1], beyond_m)
         for _ in range(_STEPS):
             view = observer.around(x, view)
             expected = view.model_m + off_m
             observation = observer.weigh(measured, expected)
             error = observation.residual_m[view.block] - expected[view.block]
             weight = observation.weight[view.block] / noise**2
-            ranges = Measurements(view.jacobian, error, weight, Nuisances.none(len(x)))
+            smooth = Nuisances.joined([Nuisances.none(len(x))], part.smooth[view.block], sigma_m)
+            ranges = Measurements(view.jacobian, error, weight, smooth)
             if response is None or float(np.abs(x - response.x).max()) > self._reuse_m:
                 response = bubble.linearised(x, pressure, gas)
             relaxing = response.motion(friction - bubble.residual(x, pressure, gas))
@@ -197,6 +207,7 @@ class ContactRefiner:
                 return None
             x, pressure, support = x + contact.motion, contact.pressure, contact.support
             residual = error - view.jacobian @ contact.motion.ravel()
+            residual -= smooth.error(contact.amplitudes)
             noise = observer.noise_factor(observation, view.block, residual)
         return FineContact(
             finer.mesh,
@@ -217,3 +228,16 @@ def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:
     for _ in range(count):
         nodes = grown(rings, nodes)
     return nodes
+
+
+def _smooth_errors(observer: RangeObserver) -> np.ndarray:
+    """Range errors (b, 6) of the blocks of a part: polynomials of second degree over the image.
+
+    Errors of the model around a contact, such as of the stress in an oval membrane, are smooth.
+    Taken for noise they would blur the contact. Their prior is what the noise factor of the
+    estimate has beyond the noise of the camera.
+    """
+    forward, *tilts = observer.image_errors[:, :3].T
+    across = [tilt / np.where(forward > 0.0, forward, 1.0) for tilt in tilts]
+    a, b = ((tilt - tilt.mean()) / tilt.std() for tilt in across)
+    return np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=1)

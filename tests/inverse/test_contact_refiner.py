@@ -1,5 +1,6 @@
 """The contact on a finer mesh: against the meridian's equations, and presses on another mesh."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -115,6 +116,16 @@ def test_the_pixels_of_two_small_contacts_are_closer_to_the_true_ones(membrane, 
             force = -(pipe.mesh.areas * pressure) @ pipe.mesh.normals
             np.testing.assert_allclose(result.patch.force_n, force, rtol=1e-12, atol=1e-15)
     assert overlaps[0] > overlaps[1] + closer
+
+
+def test_a_smooth_error_of_the_model_does_not_blur_the_contact():
+    mesh, motion, _ = two_balls()
+    frame = frame_of(mesh, motion)
+    v, u = np.indices(frame.depth_m.shape) / 79.5 - 1.0
+    saddle = replace(frame, depth_m=frame.depth_m + 2e-4 * (u**2 - v**2))
+    exact, off = (pipeline(400).process(image, PRODUCTS) for image in (frame, saddle))
+    assert off.patch.edge_half_width_m == pytest.approx(exact.patch.edge_half_width_m, rel=0.1)
+    assert off.patch.area_m2 == pytest.approx(exact.patch.area_m2, rel=0.1)
 
 
 @pytest.mark.parametrize("solver", ["paper", "fast", "linear-base", "rubber-base"])
