@@ -12,7 +12,7 @@ IMAGE_ERRORS = ("offset", "tilt to the right", "tilt downwards", "scale")
 a share of the depth."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ImageErrors:
     """Normal distribution of the amplitudes of `IMAGE_ERRORS`.
 
@@ -37,15 +37,11 @@ class ImageErrors:
         variance, axes = np.linalg.eigh(self.covariance)
         return axes * np.sqrt(np.maximum(variance, 0.0))
 
-    def at(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Errors (4,) for amplitudes (4,) of the `units`."""
-        errors: np.ndarray = self.mean + self.units @ amplitudes
-        return errors
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """Inverse of the covariance, (4, 4)."""
+        return np.linalg.inv(self.covariance)
 
-    def given(self, amplitudes: np.ndarray, covariance: np.ndarray, widened: float) -> ImageErrors:
-        """Distribution after an image, by the amplitudes of the `units` and their covariance.
-
-        `widened`: factor of the standard deviations with which this was the image's prior.
-        """
-        prior = ImageErrors(self.mean, widened**2 * self.covariance)
-        return ImageErrors(self.at(amplitudes), self.units @ covariance @ self.units.T, prior)
+    def widened(self, factor: float) -> ImageErrors:
+        """The same with standard deviations times a factor."""
+        return ImageErrors(self.mean, factor**2 * self.covariance)

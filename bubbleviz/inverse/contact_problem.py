@@ -303,10 +303,13 @@ class ContactProblem:
         self._p0, self._relaxation = pressure, relaxation
         self._nodes = self._assembled = np.empty(0, int)
         self._hessian = np.empty((0, 0))
-        self._position = np.full(len(pressure), -1)
+        self._position = np.full(len(pressure), -1)  # of nodes among those assembled
+        self._place = self._position.copy()  # and among `_nodes`
         self._data_hessian = np.empty((0, 0))
-        self._pulled = np.empty((0, len(measurements.nuisances.sigma) + 1))
+        self._pulled = np.empty((0, len(measurements.nuisances.mean) + 1))
         """Jᵀ W of R and of the residual without contact pressure, J = D S, (assembled, a + 1)."""
+        self._assembled_with, self._factor = measurements, 1.0
+        """Measurements with which nodes are assembled, and the present weights over theirs."""
         self._weighed: np.ndarray | None = None
         """Of the assembled nodes, see `_hessian_factors`."""
 
@@ -326,11 +329,14 @@ class ContactProblem:
         """Gradient of the misfit without contact pressure, (n,), 1/Pa."""
         return self._pull(self.measurements.weighed(self._error))
 
-    def with_prior(self, sigma: np.ndarray) -> ContactProblem:
-        """The same with other prior standard deviations (a,) of the nuisance amplitudes."""
+    def with_prior(self, mean: np.ndarray, root: np.ndarray, factor: float) -> ContactProblem:
+        """The same with another prior of the nuisances, and all weights times a factor."""
         other = copy(self)
-        other.measurements = self.measurements.with_prior(sigma)
-        other._position = self._position.copy()
+        other.measurements = self.measurements.with_prior(mean, root, factor)
+        other._factor *= factor
+        threshold = np.sqrt(factor) * self._prior.threshold
+        other._prior = replace(self._prior, threshold=threshold)
+        other._position, other._place = self._position.copy(), self._place.copy()
         other.__dict__.pop("_gradient_at_zero", None)
         other._restrict_to(self._nodes)
         return other
@@ -378,8 +384,7 @@ class ContactProblem:
         """
         prior = self._prior
         near = prior.with_neighbours(selection.support)
-        if not np.isin(np.flatnonzero(near), self._nodes).all():
-            self._restrict_to(np.flatnonzero(near))
+        self._include(np.flatnonzero(near))
         inner = np.flatnonzero(prior.smoothness.diagonal()[self._nodes] > 0.0)  # not of the rim
         work = self._nodes[inner]
         problem = SupportProblem(
@@ -408,10 +413,7 @@ class ContactProblem:
         touches : TouchRule
         """
         support, pivots = selection.support, selection.pivots
-        missing = support.copy()
-        missing[self._nodes] = False
-        if missing.any():
-            self._restrict_to(np.flatnonzero(support))
+        self._include(np.flatnonzero(support))
         while True:
             pressure, count, solved = self._solve_on(np.flatnonzero(support))
             pivots += count
@@ -439,52 +441,60 @@ class ContactProblem:
 
     def covariance(self, nodes: np.ndarray) -> np.ndarray:
         """Of pressures of nodes (s,) and amplitudes, if no others touch, (s + a, s + a)."""
-        if not np.isin(nodes, self._nodes).all():
-            self._restrict_to(nodes)
+        self._include(nodes)
         amplitude_cov = self.measurements.nuisance_covariance
-        pressures = np.linalg.inv(part(self._hessian, np.searchsorted(self._nodes, nodes)))
-        slope = (
-            amplitude_cov @ self._pulled[self._position[nodes], :-1].T
-        )  # of the amplitudes by pressure
+        pressures = np.linalg.inv(part(self._hessian, self._place[nodes]))
+        slope = amplitude_cov @ self._by_nuisances(nodes).T  # of the amplitudes by pressure
         across = slope @ pressures
         return np.block([[pressures, across.T], [across, amplitude_cov + across @ slope.T]])
 
     def covariance_of(self, nodes: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """Of q quantities, linear in those unknowns with coefficients (s + a, q), (q, q)."""
-        if not np.isin(nodes, self._nodes).all():
-            self._restrict_to(nodes)
+        self._include(nodes)
         amplitude_cov, by_amplitudes = self.measurements.nuisance_covariance, unit[len(nodes) :]
-        hessian = part(self._hessian, np.searchsorted(self._nodes, nodes))
-        by_nuisances = self._pulled[self._position[nodes], :-1]
-        by_pressures = unit[: len(nodes)] + by_nuisances @ amplitude_cov @ by_amplitudes
+        hessian = part(self._hessian, self._place[nodes])
+        across = self._by_nuisances(nodes) @ amplitude_cov @ by_amplitudes
+        by_pressures = unit[: len(nodes)] + across
         covariance: np.ndarray = by_pressures.T @ solve(hessian, by_pressures, assume_a="pos")
         return covariance + by_amplitudes.T @ amplitude_cov @ by_amplitudes
 
-    def misfit_gradient(self, nodes: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    def _by_nuisances(self, nodes: np.ndarray) -> np.ndarray:
+        """Jᵀ W R of assembled nodes (s,), (s, a)."""
+        return self._factor * self._pulled[self._position[nodes], :-1]
+
+    def misfit_gradient(self, nodes: np.ndarray, unexplained: np.ndarray) -> np.ndarray:
         """Gradient of the misfit by pressures of nodes (s,), for a residual (k,), 1/Pa."""
         S = self._membrane.coordinates(nodes)
-        return S.T @ (self._rows.T @ self.measurements.weighed(residual))
+        return S.T @ (self._rows.T @ (self.measurements.weight * unexplained))
 
     def _solve_on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support only."""
         pressure = np.zeros(len(self._p0))
         if not len(support):
             return pressure, 0, True
-        where = np.searchsorted(self._nodes, support)
+        where = self._place[support]
         H = part(self._hessian, where)
         x, pivots, converged = nonnegative_qp(H, self._linear[where], np.ones(len(where), bool))
         pressure[support] = x
         return pressure, pivots, converged
 
+    def _include(self, nodes: np.ndarray) -> None:
+        """Form the Hessian of some nodes (c,), unless it includes them."""
+        if (self._place[nodes] < 0).any():
+            self._restrict_to(nodes)
+
     def _restrict_to(self, work: np.ndarray) -> None:
         """Form the Hessian of the nodes `work` (c,) and the linear term."""
-        self._nodes = work
-        self._assemble_columns(work[~np.isin(work, self._assembled)])
+        self._place[self._nodes] = -1
+        self._nodes, self._place[work] = work, np.arange(len(work))
+        self._assemble_columns(work[self._position[work] < 0])
         where = self._position[work]
-        self._hessian = part(self._data_hessian, where) + dense_part(self._prior.smoothness, work)
-        by_nuisances, measured = self._pulled[where, :-1], self.measurements
-        self._hessian -= by_nuisances @ measured.nuisance_covariance @ by_nuisances.T
-        self._linear = self._pulled[where, -1] - by_nuisances @ measured.amplitudes(self._error)
+        data, by_nuisances = part(self._data_hessian, where), self._by_nuisances(work)
+        self._hessian = self._factor * data + dense_part(self._prior.smoothness, work)
+        covariance = self.measurements.nuisance_covariance
+        self._hessian -= by_nuisances @ covariance @ by_nuisances.T
+        explained = by_nuisances @ self.measurements.amplitudes(self._error)
+        self._linear = self._factor * self._pulled[where, -1] - explained
 
     def _assemble_columns(self, nodes: np.ndarray) -> None:
         """Add the columns of the measurements' derivative by pressures of more nodes (c,)."""
@@ -508,12 +518,12 @@ class ContactProblem:
     @cached_property
     def _rows(self) -> sparse.csr_array:
         """D by the membrane's coordinates, (k, m)."""
-        return self._membrane.by_coordinates(self.measurements.jacobian)
+        return self._membrane.by_coordinates(self._assembled_with.jacobian)
 
     @cached_property
     def _weighed_rows(self) -> np.ndarray:
         """Dᵀ W of R and of `_error`, by the membrane's coordinates, (m, a + 1)."""
-        measured = self.measurements
+        measured = self._assembled_with
         weighed = measured.nuisances_weighed, measured.weight * self._error
         pulled: np.ndarray = self._rows.T @ np.column_stack(weighed)
         return pulled
@@ -525,7 +535,7 @@ class ContactProblem:
         if rows.shape[0] < 2 * rows.shape[1]:
             return None
         weighed = rows.copy()
-        weighed.data *= np.repeat(self.measurements.weight, np.diff(rows.indptr))
+        weighed.data *= np.repeat(self._assembled_with.weight, np.diff(rows.indptr))
         return rows.T @ weighed
 
     def _hessian_factors(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -536,7 +546,7 @@ class ContactProblem:
         if self._information is not None:
             return S, self._information @ S
         root = self._rows @ S
-        root *= np.sqrt(self.measurements.weight)[:, None]
+        root *= np.sqrt(self._assembled_with.weight)[:, None]
         return root, root
 
     def _steepest(self, gradient: np.ndarray) -> np.ndarray:

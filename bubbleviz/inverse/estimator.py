@@ -238,23 +238,14 @@ class Estimator:
     ) -> tuple[Estimate, Start]:
         """Estimate and next warm start; without the known image errors if these do not fit."""
         answer, doubt = self._solution(newton, data, start)
-        if data.image_errors is not None and (
-            isinstance(answer, str) or doubt or answer.image_changed
-        ):
-            found = self._solve_frame(newton, replace(data, image_errors=None), start)
-            if isinstance(answer, str) or answer.touching or found[1].state is None:
-                return found
-            # The errors are known; without contact they do not fit, but they may with it.
-            answer, doubt = self._solution(newton, data, found[1])
-            if isinstance(answer, str) or doubt or answer.image_changed or not answer.touching:
-                return found
+        if data.image_errors is not None and (isinstance(answer, str) or doubt):
+            return self._solve_frame(newton, replace(data, image_errors=None), start)
         if isinstance(answer, str):
             return no_estimate(self.mesh, answer, STATUS_REASONS[answer]), Start()
         if doubt:
             return no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m), Start()
-        state, tangent = answer.step.state, answer.step.last_tangent
-        touching = state if answer.touching else None
-        start = Start(touching, tangent, answer.noise, answer.step.scales, answer.view)
+        step, touching = answer.step, answer.step.state if answer.touching else None
+        start = Start(touching, step.last_tangent, *step.hyperparameters, answer.view)
         return self._report(answer), start
 
     def _solution(

@@ -16,7 +16,6 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solve_triangular
 
-from bubbleviz.inverse.measurements import Nuisances
 from bubbleviz.inverse.response import LinearisedRubber, Tangent
 from bubbleviz.membrane import connected_parts, dense_part
 
@@ -104,23 +103,17 @@ def _normalised(log_weight: np.ndarray) -> np.ndarray:
 def friction_nuisances(
     tangent: Tangent,
     pressure: np.ndarray,
-    sigma: float,
-    scales: tuple[float, float],
     rings: np.ndarray,
     smoothness: sparse.csr_array,
     seen: np.ndarray,
-) -> tuple[Nuisances, Nuisances]:
-    """Friction of contacts by depth alone, and of those that flow sees, at a shape.
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Motions and forces (n, 3, m) of friction of contacts by depth alone, and seen by flow.
 
     Parameters
     ----------
     tangent : Tangent
     pressure : (n,) array
         p_c, Pa; connected nodes under pressure are a contact.
-    sigma : float
-        Standard deviation of the amplitudes, see `FRICTION`.
-    scales : (float, float)
-        Factors of it for slides and spins by depth alone, see `friction_scale`.
     rings : (d, n) int array
         As of `MembraneMesh`.
     smoothness : (n, n) sparse array
@@ -129,14 +122,13 @@ def friction_nuisances(
         Nodes next to which flow was measured.
     """
     by_flow = contacts_seen_by_flow(pressure, rings, seen)
-    depth = flow = Nuisances.none(len(pressure))
+    depth = flow = (np.zeros((len(pressure), 3, 0)),) * 2
     if (by_flow != (pressure > 0.0)).any():
         loads = friction_loads(tangent.x, tangent.area_vectors, pressure, rings, ~by_flow)
-        spread = np.resize(sigma * np.array(scales)[[0, 0, 1]], loads.shape[2])
-        depth = Nuisances.of_motions(tangent.motion(loads), loads, spread)
+        depth = tangent.motion(loads), loads
     if by_flow.any():
-        flow = _tractions(tangent, np.flatnonzero(by_flow), smoothness, sigma)
-    return depth, flow
+        flow = _tractions(tangent, np.flatnonzero(by_flow), smoothness)
+    return [depth, flow]
 
 
 def contacts_seen_by_flow(pressure: np.ndarray, rings: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -194,8 +186,8 @@ def friction_loads(
 
 
 def _tractions(
-    tangent: Tangent, nodes: np.ndarray, smoothness: sparse.csr_array, sigma: float
-) -> Nuisances:
+    tangent: Tangent, nodes: np.ndarray, smoothness: sparse.csr_array
+) -> tuple[np.ndarray, np.ndarray]:
     """Tangential tractions of nodes (c,), as 2c amplitudes that are independent in their prior."""
     assert isinstance(tangent, LinearisedRubber)  # of the other material, friction is 0
     root = np.linalg.cholesky(dense_part(smoothness, nodes))
@@ -206,7 +198,7 @@ def _tractions(
     forces = np.zeros(shape)
     across = tangent.tangents[nodes].swapaxes(1, 2)
     forces[nodes] = np.einsum("cij,cja->cia", across, spread.reshape(len(nodes), 2, -1))
-    return Nuisances.of_motions(motions, forces, np.full(len(spread), sigma))
+    return motions, forces
 
 
 def _loads(x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray) -> np.ndarray:

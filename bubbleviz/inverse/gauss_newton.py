@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -28,7 +30,7 @@ from bubbleviz.inverse.measurements import (
     Measurements,
     Nuisances,
 )
-from bubbleviz.inverse.noise import Noise
+from bubbleviz.inverse.noise import Noise, are_neighbours
 from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
 from bubbleviz.inverse.resolution import resolution_m, sampled, universal_threshold
@@ -42,8 +44,12 @@ exact. A step is large beyond `LARGE_MOTION`, and no longer than `MAX_STEP`."""
 _MAX_EXCHANGE_NODES = 300
 """Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
 the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
-_MAX_SCALES = 4
-"""Solutions of a linearised problem, each with the scales of friction by the one before."""
+_MAX_SOLUTIONS = 4
+"""Solutions of a linearised problem on a support, each with the hyperparameters by the one before.
+Supports selected in one step are at most as many."""
+_IMAGE_CHANGED = 18.5
+"""χ² of the four errors of an image, which one image in 1,000 exceeds by chance: beyond, the camera
+has moved since the errors were determined that are known."""
 IMAGE_ERROR = 1e-3
 """Standard deviation of the errors of a whole depth image over the depth: 0.1 mm at 100 mm; scaled
 by the noise factor of a frame. Chosen on rubber dragged by another solver, whose
@@ -94,6 +100,27 @@ class State:
         return self.friction - self.pressure[:, None] * self.area_vectors
 
 
+class Hyperparameters(NamedTuple):
+    """What a frame's own evidence determines of its noise and priors.
+
+    `friction` has the scales of the priors of slides and spins by depth alone, `image_errors` the
+    prior of the errors of the whole image.
+    """
+
+    noise: Noise
+    friction: tuple[float, float]
+    image_errors: ImageErrors
+
+    @property
+    def doubt(self) -> float:
+        """Factor of the priors of gas pressure and image errors.
+
+        A noise factor above 1 is partly an error of the model: these would pull the shape away from
+        the image.
+        """
+        return max(self.noise.ranges, 1.0)
+
+
 @dataclass(frozen=True)
 class Step:
     """A Gauss–Newton step.
@@ -114,8 +141,12 @@ class Step:
         The last one computed, which may be nearer to the new shape.
     friction : two int arrays
         Amplitudes that are slides, and spins, by depth alone.
-    friction_scales : two FrictionScale
-        Of the prior of these.
+    spreads : two (q, q) arrays
+        What the unknown scale of their prior adds to the covariances of these.
+    hyperparameters : Hyperparameters
+        By its own evidence near the solution, else those that it was given.
+    selected_with : Hyperparameters
+        With which its support was selected.
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
     solve_ms : float
@@ -128,7 +159,9 @@ class Step:
     tangent: Tangent
     last_tangent: Tangent
     friction: tuple[np.ndarray, np.ndarray]
-    friction_scales: tuple[FrictionScale, FrictionScale]
+    spreads: Sequence[np.ndarray]
+    hyperparameters: Hyperparameters
+    selected_with: Hyperparameters
     residual_m: np.ndarray
     solve_ms: float
 
@@ -136,12 +169,6 @@ class Step:
     def measurements(self) -> Measurements:
         """That were fitted, with the prior of their nuisances."""
         return self.contact.problem.measurements
-
-    @property
-    def scales(self) -> tuple[float, float]:
-        """Values of `friction_scales`."""
-        slides, spins = self.friction_scales
-        return slides.value, spins.value
 
     @property
     def image_error_m(self) -> np.ndarray:
@@ -152,6 +179,22 @@ class Step:
     def motion_m(self) -> float:
         """Largest motion of a node along an axis."""
         return float(np.abs(self.motion).max())
+
+
+def _settled(hyper: Hyperparameters, tried: Sequence[Hyperparameters], known: ImageErrors) -> bool:
+    """Whether a support was selected with the hyperparameters of its own evidence, or larger ones.
+
+    Two noise factors, or the `known` and other errors of the image, can each have the support with
+    which the other one is more likely: then the larger ones are taken.
+    """
+    last = tried[-1]
+    if hyper.image_errors is last.image_errors and are_neighbours(hyper.noise, last.noise):
+        return True
+
+    def size(each: Hyperparameters) -> tuple[bool, Noise]:
+        return each.image_errors is not known, each.noise
+
+    return size(hyper) in map(size, tried) and size(hyper) <= size(tried[-1])
 
 
 class GaussNewton:
@@ -245,7 +288,7 @@ class GaussNewton:
         errors_m = self.observer.image_errors[view.block]
         measured_m = observation.residual_m[view.block] - errors_m @ prior.mean
         flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
-        return LinearisedFrame(view, observation, measured_m, errors_m @ prior.units, prior, flow)
+        return LinearisedFrame(view, observation, measured_m, errors_m, prior, flow)
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
@@ -258,26 +301,44 @@ class GaussNewton:
         return int(np.count_nonzero(touched[observed.view.hits.triangle] & (observed.weight > 0.0)))
 
     def fits_without_contact(
-        self, at_rest: LinearisedFrame, gas: float | None, noise: float = 1.0
+        self,
+        at_rest: LinearisedFrame,
+        gas: float | None,
+        noise: float = 1.0,
+        image_errors: ImageErrors | None = None,
     ) -> bool:
-        """Whether a depth image of the membrane at rest is explained without contact."""
+        """Whether a depth image of the membrane at rest is explained without contact.
+
+        `image_errors`: prior of the errors of the whole image, by default its own.
+        """
         tangent, by_depth = self._rest_tangent[gas is not None], replace(at_rest, flow=None)
-        measurements, _ = self._measurements(tangent, self.rest, by_depth, gas, Noise(noise))
+        hyper = Hyperparameters(Noise(noise), WIDEST, image_errors or at_rest.image_prior)
+        measurements, _ = self._measurements(tangent, self.rest, by_depth, gas, hyper, False, True)
         return self._problem(tangent, measurements, self.rest, gas).zero_is_optimal()
 
     def updated_noise(
         self, step: Step, observed: LinearisedFrame, noise: Noise, fit_image: bool
     ) -> Noise:
         """Noise factors by the residual of a step that assumed the factors `noise`."""
-        touching = bool(step.contact.pressure.any())
-        if step.contact.pivots and not touching:
+        if step.contact.pivots and not step.contact.pressure.any():
             return noise  # no contact was found: the residual still has what it would explain
-        left = observed.without_image_errors(step.residual_m) if fit_image else step.residual_m
-        factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
-        updated = noise.with_ranges(factor if touching else max(factor, 1.0))
+        updated = self._noise_of(step.contact, step.residual_m, observed, noise, fit_image)
         if observed.flow is None:
             return updated
         return updated.with_flow(observed.flow.noise_factor(step.motion))
+
+    def _noise_of(
+        self,
+        contact: ContactPressure,
+        residual_m: np.ndarray,
+        observed: LinearisedFrame,
+        noise: Noise,
+        fit_image: bool,
+    ) -> Noise:
+        """Noise factors with that of the ranges by their residual (k,)."""
+        left = observed.without_image_errors(residual_m) if fit_image else residual_m
+        factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
+        return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
 
     def step(
         self,
@@ -285,34 +346,47 @@ class GaussNewton:
         state: State,
         observed: LinearisedFrame,
         gas: float | None,
-        noise: Noise,
+        hyper: Hyperparameters,
         rounds: int,
         fit_image: bool,
-        friction_scales: tuple[float, float] | None,
+        near: bool,
+        tried: list[Hyperparameters],
     ) -> Step | None:
         """A step from a state by a tangent, or None if its problem was not solved.
 
-        Its support is selected in so many rounds; errors of the whole image are fitted or zero.
-        Near the solution, where scales of friction are given, that is fitted, and parts of the
-        contact that are not significant are left out.
+        Its support is selected in so many rounds, with given hyperparameters; errors of the whole
+        image are fitted or zero. Near the solution friction is fitted, parts of the contact that
+        are not significant are left out, and hyperparameters are those of its own evidence; those
+        that supports were selected with are added to the ones `tried` in the frame.
         """
         measurements, friction = self._measurements(
-            tangent, state, observed, gas, noise, friction_scales, fit_image=fit_image
+            tangent, state, observed, gas, hyper, near, fit_image
         )
         began = time.perf_counter()
-        near = friction_scales is not None
-        contact, touches = self._contact(tangent, measurements, state, observed, gas, rounds, near)
-        contact, scales = self._scaled(contact, touches, friction, friction_scales or WIDEST)
+        problem = self._problem(tangent, measurements, state, gas)
+        touches, support = self._touch_rule(state, gas), state.support
+        spreads: Sequence[np.ndarray] = ()
+        selected_with, selections = hyper, 0
+        while True:
+            contact = self._contact(problem, touches, support, observed, rounds, near)
+            if not near:
+                break
+            contact, hyper, spreads = self._by_evidence(
+                contact, touches, friction, observed, gas, hyper, fit_image
+            )
+            selections += 1
+            tried.append(selected_with)
+            settled = _settled(hyper, tried, observed.image_prior)
+            if settled or not rounds or selections == _MAX_SOLUTIONS:
+                break
+            selected_with, problem, support = hyper, contact.problem, contact.support
         solve_ms = 1e3 * (time.perf_counter() - began)
         if not contact.converged:
             return None
-        image_errors = observed.image_prior.at(contact.amplitudes[-len(IMAGE_ERRORS) :])
-        after, last = self._advance(
-            tangent, state, measurements.nuisances, contact, gas, image_errors
-        )
+        nuisances = contact.problem.measurements.nuisances
+        image_errors = observed.image_prior.mean + contact.amplitudes[-len(IMAGE_ERRORS) :]
+        after, last = self._advance(tangent, state, nuisances, contact, gas, image_errors)
         motion = after.x - state.x
-        residual = observed.error_m - observed.view.jacobian @ motion.ravel()
-        residual -= measurements.nuisances.error(contact.amplitudes)
         size = np.maximum(np.linalg.norm(tangent.area_vectors, axis=1), np.finfo(float).tiny)
         along = np.einsum("ij,ij->i", motion, tangent.area_vectors) / size
         return Step(
@@ -323,8 +397,10 @@ class GaussNewton:
             tangent,
             last,
             friction,
-            scales,
-            residual,
+            spreads,
+            hyper,
+            selected_with,
+            observed.residual_m(motion, nuisances.error(contact.amplitudes)),
             solve_ms,
         )
 
@@ -334,37 +410,51 @@ class GaussNewton:
         state: State,
         observed: LinearisedFrame,
         gas: float | None,
-        noise: Noise,
-        friction_scales: tuple[float, float] | None = None,
-        *,
-        fit_image: bool = True,
+        hyper: Hyperparameters,
+        near: bool,
+        fit_image: bool,
     ) -> tuple[Measurements, tuple[np.ndarray, np.ndarray]]:
         """Residual and weights of a frame with its nuisances; which are slides and spins."""
-        # A noise factor above 1 is partly an error of the model: the priors of gas pressure and
-        # image errors are widened by it, too, or they would pull the shape away from the image.
-        doubt = max(noise.ranges, 1.0)
-        moving = [Nuisances.none(len(state.x))]
+        moving = []
         if gas is not None:
-            sigma = np.array([doubt * gas_sigma(self.bubble.gas, gas)])
             bulge = tangent.bulge[:, :, None]
-            moving.append(Nuisances.of_motions(bulge, np.zeros_like(bulge), sigma))
-        first = sum(len(each.sigma) for each in moving)
+            moving.append((bulge, np.zeros_like(bulge)))
         by_depth = np.zeros(0, int)
-        if friction_scales and self.friction > 0.0 and state.pressure.any():
+        if near and self.friction > 0.0 and state.pressure.any():
             found = friction_nuisances(
-                tangent,
-                state.pressure,
-                self.friction,
-                friction_scales,
-                self.mesh.rings,
-                self.smoothness,
-                observed.seen_by_flow,
+                tangent, state.pressure, self.mesh.rings, self.smoothness, observed.seen_by_flow
             )
-            by_depth = np.arange(len(found[0].sigma))
+            by_depth = np.arange(found[0][0].shape[2])
             moving += found
+        first = int(gas is not None)
         spins = by_depth % 3 == 2  # the third amplitude of each contact
         friction = first + by_depth[~spins], first + by_depth[spins]
-        return observed.measurements(noise, moving, fit_image * doubt), friction
+        alone = observed.measurements(hyper.noise, moving)
+        prior = self._prior(alone.nuisances, friction, observed, gas, hyper, fit_image)
+        return alone.with_prior(*prior, 1.0), friction
+
+    def _prior(
+        self,
+        nuisances: Nuisances,
+        friction: tuple[np.ndarray, np.ndarray],
+        observed: LinearisedFrame,
+        gas: float | None,
+        hyper: Hyperparameters,
+        fit_image: bool,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (a,), and root (a, a) of the covariance, of the prior of a frame's nuisances."""
+        mean, root = np.zeros_like(nuisances.mean), np.zeros_like(nuisances.root)
+        sigma = np.full(nuisances.motions.shape[2], self.friction)
+        if gas is not None:
+            sigma[0] = hyper.doubt * gas_sigma(self.bubble.gas, gas)
+        for own, scale in zip(friction, hyper.friction, strict=True):
+            sigma[own] = self.friction * scale
+        np.fill_diagonal(root[: len(sigma)], sigma)
+        if fit_image:
+            last = slice(-len(IMAGE_ERRORS), None)
+            mean[last] = hyper.image_errors.mean - observed.image_prior.mean
+            root[last, last] = hyper.doubt * hyper.image_errors.units
+        return mean, root
 
     def threshold(self, measurements: Measurements) -> np.ndarray:
         """τ of the L1 term (n,) for an image's weights, 1/Pa."""
@@ -377,20 +467,7 @@ class GaussNewton:
         relaxing = self._relaxation(tangent, state, gas)
         return ContactProblem(tangent, measurements, prior, state.pressure, relaxing)
 
-    def _contact(
-        self,
-        tangent: Tangent,
-        measurements: Measurements,
-        state: State,
-        observed: LinearisedFrame,
-        gas: float | None,
-        rounds: int,
-        near: bool,
-    ) -> tuple[ContactPressure, TouchRule]:
-        problem = self._problem(tangent, measurements, state, gas)
-        selection = Selection(state.support)
-        if rounds and (state.pressure.any() or not problem.zero_is_optimal()):
-            selection = problem.select(state.support, rounds)
+    def _touch_rule(self, state: State, gas: float | None) -> TouchRule:
         change = self.bubble.gas_at(state.x)[0] if gas is None else gas
         if self.bubble.gas.zero_sigma_pa:  # the measured one may be far off: use the estimate
             change = state.gas
@@ -399,6 +476,20 @@ class GaussNewton:
         def touches(support: np.ndarray, pressure: np.ndarray) -> np.ndarray:
             return touching_parts(self.mesh, support, pressure, least, self.resolution_m)
 
+        return touches
+
+    def _contact(
+        self,
+        problem: ContactProblem,
+        touches: TouchRule,
+        support: np.ndarray,
+        observed: LinearisedFrame,
+        rounds: int,
+        near: bool,
+    ) -> ContactPressure:
+        selection = Selection(support)
+        if rounds and (support.any() or not problem.zero_is_optimal()):
+            selection = problem.select(support, rounds)
         if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)
         if rounds and near:  # with it from the first step on, fewer frames converge
@@ -409,47 +500,77 @@ class GaussNewton:
             significant = significant_contact(self.mesh, contact)
             if not np.array_equal(significant, contact.pressure > 0.0):
                 contact = problem.solve_debiased(replace(selection, support=significant), touches)
-        return contact, touches
+        return contact
 
-    def _scaled(
+    def _by_evidence(
         self,
         contact: ContactPressure,
         touches: TouchRule,
         friction: tuple[np.ndarray, np.ndarray],
-        scales: tuple[float, float],
-    ) -> tuple[ContactPressure, tuple[FrictionScale, FrictionScale]]:
-        """A contact with the scales of its slides and spins by evidence, and these scales.
+        observed: LinearisedFrame,
+        gas: float | None,
+        hyper: Hyperparameters,
+        fit_image: bool,
+    ) -> tuple[ContactPressure, Hyperparameters, Sequence[np.ndarray]]:
+        """A contact with hyperparameters by its own evidence, these, and `Step.spreads`.
 
-        While the same nodes are under pressure, the evidence does not depend on the scales that the
-        contact was solved with.
+        They are found on its support, as they change neither the derivative of the measurements
+        nor its product with itself. With optical flow the noise factors remain. Errors of the image
+        are the known ones unless these do not fit.
         """
-        if not len(friction[0]):  # no contact, or optical flow sees all
-            slides, spins = (FrictionScale(scale, np.zeros((0, 0))) for scale in scales)
-            return contact, (slides, spins)
-        for _ in range(_MAX_SCALES):
-            nodes, problem = contact.nodes, contact.problem
-            slides, spins = (
+        selection = Selection(contact.support, contact.pivots, contact.converged, contact.complete)
+
+        def solved(found: Hyperparameters) -> ContactPressure:
+            nuisances = contact.problem.measurements.nuisances
+            prior = self._prior(nuisances, friction, observed, gas, found, fit_image)
+            factor = (hyper.noise.ranges / found.noise.ranges) ** 2
+            return contact.problem.with_prior(*prior, factor).solve_debiased(selection, touches)
+
+        if hyper.image_errors is not observed.image_prior:
+            known = hyper._replace(image_errors=observed.image_prior)
+            contact, hyper = solved(known), known
+        for _ in range(_MAX_SOLUTIONS):
+            found, spreads = self._evidence(contact, friction, observed, hyper, fit_image)
+            if found == hyper:
+                break
+            again, before = solved(found), hyper
+            same_nodes, contact, hyper = np.array_equal(again.nodes, contact.nodes), again, found
+            if same_nodes and hyper == before._replace(friction=hyper.friction):
+                break  # the scales of friction do not depend on those it was solved with
+        return contact, hyper, spreads
+
+    def _evidence(
+        self,
+        contact: ContactPressure,
+        friction: tuple[np.ndarray, np.ndarray],
+        observed: LinearisedFrame,
+        hyper: Hyperparameters,
+        fit_image: bool,
+    ) -> tuple[Hyperparameters, list[np.ndarray]]:
+        """Hyperparameters by a contact that was solved with others, and `Step.spreads`."""
+        scales = [FrictionScale(scale, np.zeros((0, 0))) for scale in hyper.friction]
+        if len(friction[0]):  # else no contact, or optical flow sees all
+            scales = [
                 friction_scale(
                     contact.amplitudes[own],
-                    part(contact.covariance, len(nodes) + own),
+                    part(contact.covariance, len(contact.nodes) + own),
                     self.friction,
                     scale,
                 )
-                for own, scale in zip(friction, scales, strict=True)
-            )
-            if scales == (slides.value, spins.value):
-                break
-            scales = slides.value, spins.value
-            sigma = problem.measurements.nuisances.sigma.copy()
-            for own, scale in zip(friction, scales, strict=True):
-                sigma[own] = self.friction * scale
-            selection = Selection(
-                contact.support, contact.pivots, contact.converged, contact.complete
-            )
-            contact = problem.with_prior(sigma).solve_debiased(selection, touches)
-            if np.array_equal(contact.nodes, nodes):
-                break
-        return contact, (slides, spins)
+                for own, scale in zip(friction, hyper.friction, strict=True)
+            ]
+        slides, spins = scales
+        noise, image_errors = hyper.noise, hyper.image_errors
+        if observed.flow is None and (contact.pressure.any() or not contact.pivots):
+            error_m = contact.problem.measurements.nuisances.error(contact.amplitudes)
+            residual_m = observed.residual_m(contact.motion, error_m)
+            noise = self._noise_of(contact, residual_m, observed, noise, fit_image)
+        if fit_image and noise == hyper.noise and image_errors is not self.image_prior:
+            shift = contact.amplitudes[-len(IMAGE_ERRORS) :] / hyper.doubt
+            if shift @ image_errors.precision @ shift > _IMAGE_CHANGED:
+                image_errors = self.image_prior
+        found = Hyperparameters(noise, (slides.value, spins.value), image_errors)
+        return found, [slides.spread, spins.spread]
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
         """Nodes (n,) bool that an image shows neither at the present shape nor at rest.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,11 +13,12 @@ from bubbleviz.inverse.gauss_newton import (
     MAX_STEP,
     TANGENT_REUSE,
     GaussNewton,
+    Hyperparameters,
     State,
     Step,
 )
 from bubbleviz.inverse.measurements import FlowResidual, FrameData, LinearisedFrame
-from bubbleviz.inverse.noise import AS_EXPECTED, Noise, noise_converged
+from bubbleviz.inverse.noise import AS_EXPECTED, Noise, are_neighbours, noise_converged
 from bubbleviz.inverse.plausibility import IMPLAUSIBLE_MISFIT, IMPLAUSIBLE_SHARE
 from bubbleviz.inverse.response import Tangent
 from bubbleviz.inverse.wrench_covariance import (
@@ -32,7 +33,8 @@ _CONVERGED_MOTION, _CONVERGED_FORCE, _MAX_SETTLING = 0.05, 0.1, 2
 """A frame has converged when a step moves its nodes by less than the first over the mesh edge, and
 changes no component of its force by more than the second over its standard deviation: an error of a
 tenth adds 0.5 % to it. Steps that are as short do not always shrink: at most so many more. From a
-warm start, one step suffices if that is all that its linearisation missed."""
+warm start, one step suffices if that is all that its linearisation missed, and the noise factor is
+that of the frame before, or its neighbour: with another one, contact and friction have changed."""
 _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
 `MAX_STEP`: a frame that has not converged by then contradicts the model."""
@@ -47,9 +49,6 @@ _MAX_SELECTIONS, _SELECTION_ROUNDS, _SELECTING_STEPS = 2, 6, 3
 """Selections of the support at a converged shape, how often each may add nodes with a negative
 gradient, and the number of first steps in which it is selected. With one instead of three, frames
 of a moving object take 2.2 instead of 1.8 steps, and with five some hardly converge."""
-_IMAGE_CHANGED = 18.5
-"""χ² of the four errors of an image, which one image in 1,000 exceeds by chance: beyond, the camera
-has moved since the errors were determined that are known."""
 MINIMUM_BLOCKS = 3
 """Blocks that a plane needs: with fewer, a dent cannot be distinguished from a shift of the
 sensor."""
@@ -69,6 +68,8 @@ class Start:
         Noise factors of the frame, a first guess for the next one.
     friction_scales : (float, float)
         Scales of its prior of slides and spins, likewise.
+    image_errors : ImageErrors or None
+        Prior of the errors of the whole image in the frame.
     view : ShapeRanges or None
         Camera model at the last shape at which it was computed.
     by_flow : Start or None
@@ -79,6 +80,7 @@ class Start:
     tangent: Tangent | None = None
     noise: Noise = AS_EXPECTED
     friction_scales: tuple[float, float] = WIDEST
+    image_errors: ImageErrors | None = None
     view: ShapeRanges | None = None
     by_flow: Start | None = None
 
@@ -126,12 +128,6 @@ class SolvedFrame:
         """Whether there is contact."""
         return bool(self.step.state.pressure.any())
 
-    @property
-    def image_changed(self) -> bool:
-        """Whether the image has other errors than its prior allows."""
-        shift = self.step.contact.amplitudes[-len(IMAGE_ERRORS) :] / max(self.noise.ranges, 1.0)
-        return bool(shift @ shift > _IMAGE_CHANGED)
-
 
 class Iteration:
     """Estimate of the shape and contact pressure of a frame by Gauss–Newton steps.
@@ -151,10 +147,11 @@ class Iteration:
        depth alone, the support remains that one: tractions at all of its nodes could explain all
        of a light contact, without any pressure.
     3. Once the shape has converged, select the support again, until it is complete.
-    4. Update the noise factor, by which the image is weighted, from the residual of each step
-       to an equilibrium; repeat from 1 until noise and solution agree, so that the result does
-       not depend on the frames before. Of factors and friction scales that repeat for ever, the
-       largest are taken. Whether there is contact is decided with at least the noise of the
+    4. Near the solution, a step finds the noise factor by which the image is weighted, the scales
+       of friction, and whether the known errors of the image fit, by its own evidence, and selects
+       its support again until they agree, so that the result does not depend on the frames before.
+       Until then, and with optical flow, the residual of each step to an equilibrium gives the
+       factor of the next one. Whether there is contact is decided with at least the noise of the
        sensor. Without a warm start the first step to an equilibrium gives a first guess of the
        factor, unless it contradicts a measured gas pressure; until then, only the nodes with the
        steepest gradient are selected.
@@ -177,10 +174,13 @@ class Iteration:
         self._warm = bool(np.count_nonzero(state.pressure) > 1)
         self._state, self._view = state if self._warm else newton.rest, start.view
         self._tangent = start.tangent
-        self._friction_scales = start.friction_scales if self._warm else WIDEST
-        self._noise = self._own_noise = start.noise  # the latter: by the residual of the last step
+        scales = start.friction_scales if self._warm else WIDEST
+        known, unknown = data.image_errors, newton.image_prior
+        image_errors = unknown if known is None or start.image_errors is unknown else known
+        self._hyper = Hyperparameters(start.noise, scales, image_errors)
+        self._start_noise = start.noise
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
-        self._raised: list[Noise] = []  # factors that a step before convergence was raised from
+        self._tried: list[Hyperparameters] = []  # that supports were selected with
         self._near = self._warm  # the errors of the linearisation are small
         self._following = self._observe() if self._warm else None
         self._image_shows_rest = self._following is None or newton.shows_rest(
@@ -213,7 +213,9 @@ class Iteration:
             if failure := _reject_image(newton, observed, self._state):
                 return failure
             at_rest = self._state is newton.rest
-            no_contact = at_rest and newton.fits_without_contact(observed, data.gas_pa)
+            no_contact = at_rest and newton.fits_without_contact(
+                observed, data.gas_pa, image_errors=self._hyper.image_errors
+            )
             self._near = self._near or no_contact
             rounds = _SELECTION_ROUNDS if self._noise_known else 1
             rounds *= self._selecting and not no_contact and data.flow is None
@@ -223,22 +225,23 @@ class Iteration:
                 self._state,
                 observed,
                 data.gas_pa,
-                self._noise,
+                self._hyper,
                 rounds,
                 fit_image,
-                self._friction_scales if self._near else None,
+                self._near,
+                self._tried,
             )
             if step is None:
                 break
-            before = self._state
+            known = self._near and data.flow is None
             self._take(step, observed)
             converged = self._has_converged(step, observed, first, fit_image)
             searched = rounds > 0 or no_contact or bool(step.contact.pressure.any())
-            if self._update_noise(step, observed, converged, searched):
-                return self._result(self._at_own_noise(step, before, observed, fit_image), observed)
+            if self._update_noise(step, observed, converged, searched, known):
+                return self._result(step, observed)
             if not converged and self._large_steps == _MAX_LARGE_STEPS:
                 break
-        implausible = self._stalled == _MAX_STALLED or self._noise.ranges > IMPLAUSIBLE_MISFIT
+        implausible = self._stalled == _MAX_STALLED or self._hyper.noise.ranges > IMPLAUSIBLE_MISFIT
         return "implausible" if implausible else "not_converged"
 
     @property
@@ -261,10 +264,11 @@ class Iteration:
         """
         observed = self._following or self._observe()
         self._following = None
-        if observed.flow is not None and not self._noise.flow:
+        noise = self._hyper.noise
+        if observed.flow is not None and not noise.flow:
             # Friction has not explained any of it yet: steps with too small a factor diverge.
             factor = observed.flow.noise_factor(np.zeros_like(self._state.x))
-            self._noise = self._noise.with_flow(factor)
+            self._hyper = self._hyper._replace(noise=noise.with_flow(factor))
         judged = self._large or self._steps == 1
         misfit = observed.misfit(observed.error_m) if judged else np.inf
         poor = self._large and misfit >= _STALLED_SHARE * self._best_misfit
@@ -276,7 +280,7 @@ class Iteration:
         """Whether a frame should be solved from rest instead of its warm start."""
         newton, data = self._newton, self._data
         # With a noise factor below 1 a contact could persist that the sensor's own noise explains.
-        if self._noise.ranges < 1.0:
+        if self._hyper.noise.ranges < 1.0:
             at_rest = newton.observe(data, newton.rest, None)
             if newton.fits_without_contact(at_rest, data.gas_pa):
                 return True
@@ -288,7 +292,7 @@ class Iteration:
         self._motion_m, self._normal_motion_m = step.motion_m, step.normal_motion_m
         force_n = step.state.nodal_force.sum(axis=0)
         self._force_n, self._force_change_n = force_n, force_n - self._force_n
-        self._friction_scales = step.scales
+        self._hyper = step.selected_with._replace(friction=step.hyperparameters.friction)
         self._large_steps += self._selecting and self._large and step.motion_m < self._cut_m
 
     def _has_converged(
@@ -308,7 +312,8 @@ class Iteration:
         self._near = self._near or (step.state.balanced and step.motion_m < self._cut_m)
         if self._near and self._image_shows_rest:
             self._image_shows_rest = newton.shows_rest(observed, step.contact.pressure)
-        if first and not converged and step.state.balanced and motion <= self._reuse_m:
+        follows = first and are_neighbours(step.hyperparameters.noise, self._start_noise)
+        if follows and not converged and step.state.balanced and motion <= self._reuse_m:
             self._following = self._observe()
             converged = self._was_linear(step, observed, self._following)
         return converged and fit_image == (self._near and self._image_shows_rest)
@@ -338,112 +343,76 @@ class Iteration:
         return bool((change_n**2 <= _CONVERGED_FORCE**2 * variance).all())
 
     def _update_noise(
-        self, step: Step, observed: LinearisedFrame, converged: bool, searched: bool
+        self,
+        step: Step,
+        observed: LinearisedFrame,
+        converged: bool,
+        searched: bool,
+        by_evidence: bool,
     ) -> bool:
-        """Take the noise factors of the residual; whether they are those that the step assumed.
+        """Take the noise factors of the residual; whether the solution of the frame is found.
 
-        If not, also decides whether the next step selects the support. `searched`: contact was
-        searched for, or there is some.
+        Before that, also decides whether the next step selects the support. `searched`: contact was
+        searched for, or there is some. `by_evidence`: the noise factor of the step is its own.
         """
         complete = self._selecting and step.contact.complete
         done = converged and (complete or self._selections > _MAX_SELECTIONS)
         contradicts = self._newton.contradicts(step.state.gas, self._data.gas_pa)
         first_guess = step.state.balanced and not self._noise_known and not contradicts
         known = step.state.balanced and self._noise_known and not self._large and searched
-        if done or first_guess or known:
-            updated = self._newton.updated_noise(
-                step, observed, self._noise, self._image_shows_rest
-            )
-            self._own_noise = updated
-            # By flow it begins far too large where depth alone has hardly found a twist.
-            follows = self._warm and self._data.flow is None
-            known = noise_converged(updated, self._noise, self._noises, int(follows))
-            if done and known:
+        if done and by_evidence:
+            return True
+        if done or first_guess or (known and not by_evidence):
+            noise = self._hyper.noise
+            updated = self._newton.updated_noise(step, observed, noise, self._image_shows_rest)
+            if done and noise_converged(updated, noise, self._noises):
                 return True
             if done or first_guess:
-                self._noises.append(self._noise if done else Noise(np.inf, np.inf))
+                self._noises.append(noise if done else Noise(np.inf, np.inf))
                 self._selections = self._steps = self._stalled = self._settling = 0
-            else:
-                updated = self._unrepeated(updated)
-            self._noise = updated
+            self._hyper = self._hyper._replace(noise=updated)
         early = self._steps < _SELECTING_STEPS
         self._selecting = converged or self._settling > 0 or self._large or first_guess or early
         if converged:
             self._selections, self._settling = self._selections + 1, 0
         return False
 
-    def _at_own_noise(
-        self, step: Step, before: State, observed: LinearisedFrame, fit_image: bool
-    ) -> Step:
-        """The last step from the state `before`, at the noise factor of its own residual.
-
-        A frame that follows another one may have been solved with a neighbouring factor. On the
-        same support that changes little, but without it areas of a frame that is reached in other
-        ways differ by up to 4 %, with it by 3 %.
-        """
-        kept = self._own_noise in (self._noise, *self._noises) or self._data.flow is not None
-        if kept or not step.contact.pressure.any():
-            return step
-        again = self._newton.step(
-            step.tangent,
-            replace(before, support=step.contact.support),
-            observed,
-            self._data.gas_pa,
-            self._own_noise,
-            0,
-            fit_image,
-            self._friction_scales,
-        )
-        if again is None or not again.state.balanced:
-            return step
-        self._noise = self._own_noise
-        return again
-
-    def _unrepeated(self, updated: Noise) -> Noise:
-        """Noise factors after a step before convergence, but none already raised from twice.
-
-        Two factors, each with its own support, could alternate for ever.
-        """
-        if updated > self._noise:
-            (self._noises if self._noise in self._raised else self._raised).append(self._noise)
-        return self._noise if updated < self._noise and updated in self._noises else updated
-
     def _result(self, step: Step, observed: LinearisedFrame) -> SolvedFrame | Status:
-        newton, pressure = self._newton, step.contact.pressure
+        newton, pressure, noise = self._newton, step.contact.pressure, step.hyperparameters.noise
         touching, unknown = pressure.any(), np.count_nonzero(pressure[observed.seen])
         if touching and newton.contact_blocks(observed, pressure) < max(int(unknown), 1):
             return "no_data"
         if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
             return "implausible"  # contact does not improve the fit
-        if not touching and self._noise.ranges > IMPLAUSIBLE_MISFIT:
+        if not touching and noise.ranges > IMPLAUSIBLE_MISFIT:
             return "implausible"  # nor does the membrane at rest fit
         view, observer, mesh = observed.view, newton.observer, newton.mesh
         by_flow = contacts_seen_by_flow(pressure, mesh.rings, observed.seen_by_flow)
         return SolvedFrame(
             step,
             (self._following or observed).view,
-            self._noise,
+            noise,
             observer.misfit(observed.observation, view.block, step.residual_m),
             newton.contradicts(step.state.gas, self._data.gas_pa),
             wrench_covariance(
                 step,
                 newton.friction * ~by_flow,
-                [each.spread for each in step.friction_scales],
+                step.spreads,
             ),
             _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
-            _flow_fit(step, observed.flow, self._noise) if by_flow.any() else None,
+            _flow_fit(step, observed.flow, noise) if by_flow.any() else None,
             self._image_errors(step, observed),
             self._solve_ms,
         )
 
     def _image_errors(self, step: Step, observed: LinearisedFrame) -> ImageErrors | None:
         """Errors of the whole image; where they are not fitted, those known before, if any."""
-        measurements = step.measurements
-        own = slice(-len(IMAGE_ERRORS), None)
-        widened = measurements.nuisances.sigma[own].max()
-        if widened > 0.0 and observed.image_prior.covariance.any():
+        measurements, own = step.measurements, slice(-len(IMAGE_ERRORS), None)
+        if measurements.nuisances.root[own, own].any():
             covariance = measurements.nuisance_covariance[own, own]
-            return observed.image_prior.given(step.contact.amplitudes[own], covariance, widened)
+            hyper = step.hyperparameters
+            prior = hyper.image_errors.widened(hyper.doubt)
+            return ImageErrors(step.state.image_errors, covariance, prior)
         return self._data.image_errors
 
 
@@ -454,8 +423,9 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
         return False
     fits = newton.fits_without_contact(observed, None)
     rest_tangent = newton.tangent_at(newton.rest, None)
+    hyper = Hyperparameters(AS_EXPECTED, WIDEST, observed.image_prior)
     step = newton.step(
-        rest_tangent, newton.rest, observed, None, AS_EXPECTED, int(not fits), fits, None
+        rest_tangent, newton.rest, observed, None, hyper, int(not fits), fits, False, []
     )
     if step is None or not step.state.balanced:
         return False

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, Observation, ShapeRanges
-from bubbleviz.inverse.noise import Noise
+from bubbleviz.inverse.noise import AS_EXPECTED, Noise
 
 
 @dataclass(frozen=True)
@@ -49,37 +48,35 @@ class Nuisances:
         Contact forces on the nodes for a unit of each, N.
     errors : (r, e) array
         E: error of the first r measurements under a unit of each.
-    sigma : (m + e,) array
-        Prior standard deviation of each amplitude; 0 for one that is fixed to zero.
+    mean : (m + e,) array
+        Of their prior.
+    root : (m + e, m + e) array
+        F: its covariance is F Fᵀ; 0 for amplitudes that are fixed.
     """
 
     motions: np.ndarray
     forces: np.ndarray
     errors: np.ndarray
-    sigma: np.ndarray
+    mean: np.ndarray
+    root: np.ndarray
 
     @classmethod
     def none(cls, nodes: int) -> Nuisances:
         """No nuisances, for a membrane of so many nodes."""
-        empty = np.zeros((nodes, 3, 0))
-        return cls.of_motions(empty, empty, np.zeros(0))
-
-    @classmethod
-    def of_motions(cls, motions: np.ndarray, forces: np.ndarray, sigma: np.ndarray) -> Nuisances:
-        """Nuisances that move the membrane."""
-        return cls(motions, forces, np.zeros((0, 0)), sigma)
+        return cls.joined([], np.zeros((0, 0)), nodes)
 
     @classmethod
     def joined(
-        cls, moving: Sequence[Nuisances], errors: np.ndarray, error_sigma: np.ndarray
+        cls, moving: Sequence[tuple[np.ndarray, np.ndarray]], errors: np.ndarray, nodes: int
     ) -> Nuisances:
-        """Several that move the membrane, and errors (r, e) with standard deviations (e,)."""
-        return cls(
-            np.concatenate([each.motions for each in moving], axis=2),
-            np.concatenate([each.forces for each in moving], axis=2),
-            errors,
-            np.concatenate([*(each.sigma for each in moving), error_sigma]),
+        """Motions and forces (nodes, 3, …) of several, and errors (r, e); all fixed to zero."""
+        nothing = np.zeros((nodes, 3, 0))
+        motions, forces = (
+            np.concatenate([nothing, *each], axis=2)
+            for each in (zip(*moving, strict=True) if moving else ((), ()))
         )
+        count = motions.shape[2] + errors.shape[1]
+        return cls(motions, forces, errors, np.zeros(count), np.zeros((count, count)))
 
     def moved(self, amplitudes: np.ndarray) -> np.ndarray:
         """Motion (n, 3) for amplitudes (m + e,), m."""
@@ -135,27 +132,37 @@ class Measurements:
         """W R, (k, a)."""
         return self.weight[:, None] * self.by_nuisances
 
-    def with_prior(self, sigma: np.ndarray) -> Measurements:
-        """The same with other prior standard deviations (a,) of the amplitudes."""
-        other = copy(self)  # with its derivatives, which do not depend on them
-        other.__dict__.pop("nuisance_covariance", None)
-        object.__setattr__(other, "nuisances", replace(self.nuisances, sigma=sigma))
+    def with_prior(self, mean: np.ndarray, root: np.ndarray, factor: float) -> Measurements:
+        """The same with another prior of the amplitudes, and all weights times a factor."""
+        other = replace(
+            self,
+            weight=factor * self.weight,
+            nuisances=replace(self.nuisances, mean=mean, root=root),
+        )
+        other.__dict__["by_nuisances"] = self.by_nuisances  # which do not depend on them
         return other
 
     @cached_property
     def nuisance_covariance(self) -> np.ndarray:
         """(Σ⁻¹ + RᵀWR)⁻¹: covariance of the amplitudes given everything else, (a, a)."""
-        sigma = np.diag(self.nuisances.sigma)  # may have zeros
+        root = self.nuisances.root  # may be singular
         data = self.nuisances_weighed.T @ self.by_nuisances
-        scaled = np.linalg.inv(np.eye(len(sigma)) + sigma @ data @ sigma)
-        return np.asarray(sigma @ scaled @ sigma)
+        scaled = np.linalg.inv(np.eye(len(root)) + root.T @ data @ root)
+        return np.asarray(root @ scaled @ root.T)
+
+    def change_of_amplitudes(self, change: np.ndarray) -> np.ndarray:
+        """Of the most likely ones (a,), for a change (k,) of an unexplained residual."""
+        return self.nuisance_covariance @ (self.nuisances_weighed.T @ change)
 
     def amplitudes(self, unexplained: np.ndarray) -> np.ndarray:
         """Most likely amplitudes (a,) for an unexplained residual (k,)."""
-        return self.nuisance_covariance @ (self.nuisances_weighed.T @ unexplained)
+        mean = self.nuisances.mean
+        if mean.any():
+            unexplained = unexplained - self.by_nuisances @ mean
+        return mean + self.change_of_amplitudes(unexplained)
 
     def weighed(self, residual: np.ndarray) -> np.ndarray:
-        """A residual (k,) times the inverse of its covariance with nuisances (Woodbury)."""
+        """W times a residual (k,) less what nuisances explain of it (Woodbury)."""
         return self.weight * residual - self.nuisances_weighed @ self.amplitudes(residual)
 
 
@@ -207,8 +214,7 @@ class LinearisedFrame:
     measured_m : (k,) array
         Ranges of the blocks in `view` less those at rest, without the expected errors of the image.
     image_errors_m : (k, e) array
-        Range errors of those blocks under a standard deviation of each independent error of the
-        whole image.
+        Range errors of those blocks under a unit of each error of the whole image.
     image_prior : ImageErrors
         Of these errors.
     flow : FlowResidual or None
@@ -246,6 +252,11 @@ class LinearisedFrame:
         nodes = self.view.jacobian.shape[1] // 3
         return np.zeros(nodes, bool) if self.flow is None else self.flow.measured.seen
 
+    def residual_m(self, motion: np.ndarray, image_error_m: np.ndarray) -> np.ndarray:
+        """Errors (k,) of the ranges after a motion (n, 3), to first order, less others (k,)."""
+        left: np.ndarray = self.error_m - self.view.jacobian @ motion.ravel() - image_error_m
+        return left
+
     def misfit(self, error_m: np.ndarray) -> float:
         """χ² of errors (k,), minimised over the errors of the whole image."""
         return float(error_m @ self._by_image.weighed(error_m))
@@ -260,32 +271,25 @@ class LinearisedFrame:
         return error_m - explained
 
     def measurements(
-        self, noise: Noise, moving: Sequence[Nuisances], doubt: float = 1.0
+        self, noise: Noise, moving: Sequence[tuple[np.ndarray, np.ndarray]]
     ) -> Measurements:
-        """Ranges and flow at noise factors, with nuisances.
+        """Ranges and flow at noise factors, with nuisances that are fixed to zero.
 
         Parameters
         ----------
         noise : Noise
-        moving : sequence of Nuisances
-            That move the membrane.
-        doubt : float
-            Factor of the prior of the image's errors; 0: they are not fitted.
+        moving : sequence of (n, 3, m) arrays
+            Motions of the membrane under a unit of each nuisance, and their forces.
         """
         jacobian, error, weight = self.view.jacobian, self.error_m, self.weight / noise.ranges**2
         if self.flow is not None:
             jacobian = sparse.vstack([jacobian, self.flow.jacobian], format="csr")
             error = np.concatenate([error, self.flow.error_px])
             weight = np.concatenate([weight, self.flow.weight(noise.flow)])
-        nuisances = Nuisances.joined(moving, self.image_errors_m, doubt * self._image_sigma)
+        nuisances = Nuisances.joined(moving, self.image_errors_m, jacobian.shape[1] // 3)
         return Measurements(jacobian, error, weight, nuisances)
-
-    @property
-    def _image_sigma(self) -> np.ndarray:
-        return np.ones(self.image_errors_m.shape[1])
 
     @cached_property
     def _by_image(self) -> Measurements:
-        nothing = Nuisances.none(self.view.jacobian.shape[1] // 3)
-        nuisances = Nuisances.joined([nothing], self.image_errors_m, self._image_sigma)
-        return Measurements(self.view.jacobian, self.error_m, self.weight, nuisances)
+        alone = replace(self, flow=None).measurements(AS_EXPECTED, [])
+        return alone.with_prior(alone.nuisances.mean, self.image_prior.units, 1.0)

@@ -71,9 +71,11 @@ def _by_friction(step: Step, unit: np.ndarray, own: np.ndarray, spread: np.ndarr
 def change_by(step: Step, measured: np.ndarray) -> np.ndarray:
     """Change of pressures and amplitudes (s + a,) for a change of the measurements (k,)."""
     contact, count = step.contact, len(step.contact.nodes)
-    gradient = contact.problem.misfit_gradient(contact.nodes, measured)
+    by_amplitudes = step.measurements.change_of_amplitudes(measured)
+    unexplained = measured - step.measurements.by_nuisances @ by_amplitudes
+    gradient = contact.problem.misfit_gradient(contact.nodes, unexplained)
     change: np.ndarray = -contact.covariance[:, :count] @ gradient
-    change[count:] += step.measurements.amplitudes(measured)
+    change[count:] += by_amplitudes
     return change
 
 
