@@ -146,7 +146,7 @@ class Step:
     hyperparameters : Hyperparameters
         By its own evidence near the solution, else those that it was given.
     selected_with : Hyperparameters
-        With which its support was selected.
+        With which its support was selected; where it was not, the same.
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
     solve_ms : float
@@ -374,10 +374,13 @@ class GaussNewton:
             contact, hyper, spreads = self._by_evidence(
                 contact, touches, friction, observed, gas, hyper, fit_image
             )
+            if not rounds:
+                selected_with = hyper
+                break
             selections += 1
             tried.append(selected_with)
             settled = _settled(hyper, tried, observed.image_prior)
-            if settled or not rounds or selections == _MAX_SOLUTIONS:
+            if settled or selections == _MAX_SOLUTIONS:
                 break
             selected_with, problem, support = hyper, contact.problem, contact.support
         solve_ms = 1e3 * (time.perf_counter() - began)

@@ -233,11 +233,13 @@ class Iteration:
             )
             if step is None:
                 break
-            known = self._near and data.flow is None
+            by_evidence = self._near and data.flow is None
+            same_image = step.hyperparameters.image_errors is self._hyper.image_errors
             self._take(step, observed)
             converged = self._has_converged(step, observed, first, fit_image)
+            converged = converged and (rounds > 0 or same_image)
             searched = rounds > 0 or no_contact or bool(step.contact.pressure.any())
-            if self._update_noise(step, observed, converged, searched, known):
+            if self._update_noise(step, observed, converged, searched, by_evidence):
                 return self._result(step, observed)
             if not converged and self._large_steps == _MAX_LARGE_STEPS:
                 break
@@ -394,11 +396,7 @@ class Iteration:
             noise,
             observer.misfit(observed.observation, view.block, step.residual_m),
             newton.contradicts(step.state.gas, self._data.gas_pa),
-            wrench_covariance(
-                step,
-                newton.friction * ~by_flow,
-                step.spreads,
-            ),
+            wrench_covariance(step, newton.friction * ~by_flow, step.spreads),
             _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
             _flow_fit(step, observed.flow, noise) if by_flow.any() else None,
             self._image_errors(step, observed),

@@ -12,6 +12,7 @@ from bubbleviz.inverse import (
     Measurements,
     Nuisances,
     Prior,
+    Selection,
     area_above,
     nonnegative_qp,
 )
@@ -158,6 +159,36 @@ def test_the_residual_measures_the_kkt_conditions(problem_of):
         missed = np.abs(np.minimum(pressure[pressure > 0.0] / pressure.max(), slope)).max()
         assert problem.kkt_residual(share * pressure) == pytest.approx(missed, rel=1e-6)
     assert problem.kkt_residual(nothing) == 0.0
+
+
+def test_another_prior_and_noise_are_those_of_a_problem_made_with_them(sphere):
+    """Though products with the response are kept, and nodes may be added after the change."""
+    solver, depth = estimator(300), sphere.depth(0.01)
+    mesh, film, nothing = solver.mesh, solver.bubble, np.zeros(len(solver.mesh.nodes))
+    view, observation = solver.observer.around(mesh.nodes), solver.observer.observe(depth)
+    error, weight = observation.residual_m[view.block], observation.weight[view.block]
+    errors = np.stack([np.ones_like(error), error.mean() * np.sin(np.arange(len(error)))], axis=1)
+    tangent, near = film.linearised(mesh.nodes, nothing, None), mesh.nodes[:, 2] > 0.03
+
+    def problem(mean, root, factor):
+        nuisances = Nuisances(*2 * [np.zeros((len(nothing), 3, 0))], errors, mean, root)
+        ranges = Measurements(view.jacobian, error, factor * weight, nuisances)
+        prior = Prior(solver.smoothness, nothing, mesh.rings)
+        return ContactProblem(tangent, ranges, prior, nothing, np.zeros_like(mesh.nodes))
+
+    def contact(of, support):
+        return of.solve_debiased(Selection(support), lambda support, _: support)
+
+    mean, root = np.array([1e-3, 0.5]), np.array([[2e-4, 0.0], [0.1, 0.3]])
+    changed = contact(problem(np.zeros(2), np.diag([1e-3, 0.2]), 1.0), near).problem
+    changed = changed.with_prior(np.ones(2), 0.1 * root, 0.3).with_prior(mean, root, 0.5)
+    for support in (near, mesh.nodes[:, 2] > 0.02):
+        found, expected = contact(changed, support), contact(problem(mean, root, 0.15), support)
+        assert expected.pressure.any() and np.abs(expected.amplitudes - mean).max() > 1e-5
+        scale = expected.pressure.max()
+        np.testing.assert_allclose(found.pressure, expected.pressure, rtol=0, atol=1e-8 * scale)
+        np.testing.assert_allclose(found.amplitudes, expected.amplitudes, rtol=1e-7)
+        np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
 
 
 @given(st.lists(st.floats(0, 1), min_size=3, max_size=3), st.floats(0.01, 0.99))
