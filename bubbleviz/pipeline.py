@@ -74,10 +74,6 @@ COLOUR_PRODUCTS: frozenset[Product] = frozenset(FLOW_PRODUCTS | {"texture", "col
 FlowFunction = Callable[[Frame], "FlowField | None"]
 """Optical flow from the contact-free colour image to the image of a frame; None: unavailable."""
 
-_CONVERGED, _MAX_SOLVES = 1e-3, 8
-"""Change of the contact pressure over its maximum at convergence, and most solves; two to four are
-typical."""
-
 
 @dataclass(frozen=True)
 class FrameOptions:
@@ -197,9 +193,11 @@ class Pipeline:
         return frame if frame.colour_delay_s == delay_s else replace(frame, colour_delay_s=delay_s)
 
     def restart(self, start: Start | None = None) -> None:
-        """Solve the next frame from the `start` of another one; by default from rest."""
+        """Solve the next frame from the `start` of another one; by default from rest.
+
+        From rest, the result does not depend on earlier frames.
+        """
         self._state = start
-        self._slip_starts = (None, None)
 
     @property
     def start(self) -> Start | None:
@@ -211,26 +209,6 @@ class Pipeline:
         if not isinstance(start, Start) or start.state is None:
             return None
         return replace(start, tangent=None, view=None, by_flow=None)
-
-    def converge(self, frame: Frame) -> None:
-        """Warm-start the next solve from the converged solution of this frame.
-
-        An estimate depends slightly on its initial state, as linearisation and support are reused
-        while they are valid. Repeated solves from rest until the contact pressure converges make
-        the result of a frame independent of earlier frames.
-
-        Raises InputError: the image does not have the camera's size.
-        """
-        self._check_size(frame)
-        state: Any = None
-        previous = np.zeros(0)
-        for _ in range(_MAX_SOLVES):
-            estimate, state = self._estimated(frame, state)
-            pressure = estimate.contact_pressure_pa
-            if previous.size and np.abs(pressure - previous).max() <= _CONVERGED * pressure.max():
-                break
-            previous = pressure
-        self._state = state
 
     def is_untouched(self, frame: Frame) -> bool:
         """Whether the depth image alone, without the gas pressure, shows no contact.

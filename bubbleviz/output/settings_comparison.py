@@ -69,8 +69,8 @@ class SettingsComparison:
         Raises InputError: invalid settings.
         """
         pipeline = self._pipeline(options)
-        if alone or not pipeline.counts:
-            pipeline.converge(frame)
+        if alone:
+            pipeline.restart()
         result = pipeline.process(frame, PRODUCTS, rule)
         estimate, patch = result.solution
         errors: dict[str, float] = {}

@@ -93,6 +93,8 @@ def test_slip_is_measured_from_the_same_contact_only():
     assert slip_of(0, 0.0) is None
     assert slip_of(1, 0.1) is not None
     eyes.pipeline.restart()
+    assert slip_of(1, 0.1) is not None  # solved from rest
+    eyes.pipeline.use_optical_flow(eyes.pipeline.optical_flow)
     assert slip_of(2, 0.2) is None
     assert slip_of(0, 0.0) is None
     assert slip_of(2, 1.0) is None  # jumped forward

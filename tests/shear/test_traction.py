@@ -168,7 +168,7 @@ def test_flow_that_is_less_precise_than_it_says_loses_no_frame():
     for warm in (False, True):
         eyes.pipeline.restart()
         if warm:
-            eyes.pipeline.converge(frame)
+            eyes.pipeline.process(frame, frozenset({"estimate"}))
         traction = eyes.traction(frame)
         assert traction.status == "ok", traction.reason
         error = np.linalg.norm(traction.force_n - truth.force_n)

@@ -217,7 +217,7 @@ def test_video_shows_the_same_as_the_paused_window(drive, sensor, monkeypatch, t
     options = driver.window.controller.client.demand.options
     assert [frame for frame, _ in drawn] == [73, 74, 75, 76]
     for frame, area_m2 in drawn:
-        pipeline.converge(source[frame])
+        pipeline.restart()
         alone = pipeline.process(source[frame], frozenset({"patch"}), options)
         assert area_m2 == pytest.approx(alone.patch.area_m2, rel=1e-3)
 

@@ -231,7 +231,7 @@ class OpenSource:
             self.estimates.use(demand.flow)
         estimate = None if products & FLOW_PRODUCTS else self.estimates.final(frame.index)
         if cold and estimate is None:
-            pipeline.converge(frame)
+            pipeline.restart()
         elif estimate is None:
             self.estimates.restart(pipeline, frame.index)
         if solver_process is None:
