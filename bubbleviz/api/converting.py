@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.api.summary import Summary
+from bubbleviz.api.frames import RecordingInfo, info
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing, refuse_input
 from bubbleviz.progress import Progress, quiet
@@ -24,36 +23,6 @@ from bubbleviz.recordings import (
     read_times,
     read_wrench,
 )
-from bubbleviz.wording import count_of
-
-
-@dataclass(frozen=True)
-class ConvertSummary(Summary):
-    """Summary of a conversion."""
-
-    out: str
-    frames: int
-    duration_s: float
-    width: int
-    height: int
-    has_intrinsics: bool
-    has_gas_pressure: bool
-    has_wrench: bool
-    has_colour: bool
-
-    def to_text(self) -> str:
-        """Text for the terminal."""
-        parts = {
-            "intrinsics": self.has_intrinsics,
-            "gas pressure": self.has_gas_pressure,
-            "wrench": self.has_wrench,
-            "colour": self.has_colour,
-        }
-        return (
-            f"wrote {self.out}: {count_of(self.frames, 'frame')} of {self.width}×{self.height} "
-            f"pixels over {self.duration_s:.3g} s"
-            + "".join(f", {name}" for name, present in parts.items() if present)
-        )
 
 
 def convert(
@@ -68,7 +37,7 @@ def convert(
     metres_per_unit: float | None = None,
     overwrite: bool = False,
     progress: Progress = quiet,
-) -> ConvertSummary:
+) -> RecordingInfo:
     """Convert depth images or another recording to MCAP.
 
     Depth, colour, camera info, gas pressure and wrench are kept, the last two at the times of the
@@ -98,6 +67,11 @@ def convert(
     overwrite : bool
         Replace existing files.
     progress : Progress
+
+    Returns
+    -------
+    RecordingInfo
+        Of `out`.
 
     Raises
     ------
@@ -159,22 +133,13 @@ def _written(
     whole_millimetres: bool,
     *,
     overwrite: bool,
-) -> ConvertSummary:
-    pressure = wrench = colour = False
+) -> RecordingInfo:
     encoding: Encoding = "16UC1" if whole_millimetres else "32FC1"
     with RecordingWriter(out, encoding=encoding, overwrite=overwrite) as writer:
         for index in range(len(source)):
             progress("converting", index / len(source))
-            frame = source[index]
-            pressure |= frame.gas_pressure_pa is not None
-            wrench |= frame.wrench is not None
-            colour |= frame.colour is not None
-            writer.write(frame)
-    height, width = frame.depth_m.shape
-    duration, camera = float(source.times_s[-1]), frame.intrinsics is not None
-    return ConvertSummary(
-        str(out), len(source), duration, width, height, camera, pressure, wrench, colour
-    )
+            writer.write(source[index])
+    return info(out)
 
 
 def _existing(folder: Path, *names: str) -> Path | None:

@@ -20,10 +20,12 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.api.converting import ConvertSummary, convert
+from bubbleviz.api.converting import convert
+from bubbleviz.api.frames import RecordingInfo
 from bubbleviz.files import free_name
 from bubbleviz.progress import Progress
 from bubbleviz.recordings import is_image_folder
+from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.recording_control import make_folder
 from bubbleviz_ui.model.messages import Messages
@@ -206,7 +208,7 @@ class ImportDialog(QDialog):
         self.cancel = push_button("Cancel", "Stop and remove the unfinished file", self._cancel)
         self.open_made = push_button("Open", "Open the new recording in the window", self._open)
         self.begin = push_button("Import", "Convert to a recording", self._begin)
-        self._summary: ConvertSummary | None = None
+        self._made: RecordingInfo | None = None
         self._lay_out()
         self._connect()
         self._show()
@@ -263,7 +265,7 @@ class ImportDialog(QDialog):
         self.begin.setEnabled(not busy and path is not None and bool(self.out.text().strip()))
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        self.open_made.setVisible(not busy and self._summary is not None)
+        self.open_made.setVisible(not busy and self._made is not None)
         for label in (self.problem, self.made):
             label.setVisible(bool(label.text()))
 
@@ -288,29 +290,30 @@ class ImportDialog(QDialog):
         if failed.details or not self.isVisible():  # else only the dialog shows it
             self._messages.add("error", failed.message, failed.details, topic=TOPIC)
 
-    def _on_done(self, summary: ConvertSummary) -> None:
-        self._show_outcome(summary, "")
+    def _on_done(self, made: RecordingInfo) -> None:
+        self._show_outcome(made, "")
         self._show()
-        out = Path(summary.out)
+        out = Path(made.path)
         remember("recording", out)
         self._messages.add("notice", self.made.text(), file=out, topic=TOPIC)
 
-    def _show_outcome(self, summary: ConvertSummary | None, problem: str) -> None:
-        self._summary = summary
-        self.made.setText("" if summary is None else summary.to_text())
+    def _show_outcome(self, made: RecordingInfo | None, problem: str) -> None:
+        self._made = made
+        count = "" if made is None else count_of(made.frames, "frame")
+        self.made.setText("" if made is None else f"wrote {made.path}: {count}")
         self.problem.setText(problem)
 
     def _open(self) -> None:
-        if self._summary is not None:
-            self._open_recording(Path(self._summary.out))
+        if self._made is not None:
+            self._open_recording(Path(self._made.path))
             self.accept()
 
 
-def _imported(path: Path, out: Path, options: dict[str, Any], progress: Progress) -> ConvertSummary:
+def _imported(path: Path, out: Path, options: dict[str, Any], progress: Progress) -> RecordingInfo:
     make_folder(out)
     return convert(path, out, progress=progress, **options)
 
 
-def _discard(summary: ConvertSummary) -> None:
+def _discard(made: RecordingInfo) -> None:
     """Remove a file that was completed just before cancelling."""
-    Path(summary.out).unlink(missing_ok=True)
+    Path(made.path).unlink(missing_ok=True)
