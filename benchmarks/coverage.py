@@ -11,8 +11,9 @@ import numpy as np
 
 import bubbleviz as bv
 from bubbleviz.calibration import Quantity, collect, rest_gauge, with_rubber
+from bubbleviz.recordings import HeldFrames
 from bubbleviz.sensor import edited
-from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber, InflatedSensor
+from bubbleviz.simulation import ATMOSPHERE_PA, InflatedRubber
 from bubbleviz.study.harness import (
     Averages,
     Case,
@@ -137,10 +138,8 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     sensor = edited(
         rubber.sensor(grid.width), {"pneumatics.atmospheric_pressure_pa": round(weather, 1)}
     )
-    rest, *others = _recorded(grid, rubber, seed)
-    if seed % 2:
-        off = grid.pressure_error * rng.choice([-1.0, 1.0]) * grid.levels[-1] * GAUGE_PA
-        others[-1].pressures_pa = others[-1].pressures_pa + off
+    off = grid.pressure_error * rng.choice([-1.0, 1.0]) * grid.levels[-1] * GAUGE_PA
+    rest, *others = _recorded(grid, rubber, seed, off if seed % 2 else 0.0)
     levels = [collect(source, sensor, range(grid.frames)) for source in others]
     truths = rubber.tension_n_per_m, rubber.prestretch, rubber.gauge_pressure_pa
     alone = bv.identify(
@@ -158,11 +157,22 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     return rows
 
 
-def _recorded(grid: CoverageGrid, rubber: InflatedRubber, seed: int) -> list[InflatedSensor]:
+def _recorded(
+    grid: CoverageGrid,
+    rubber: InflatedRubber,
+    seed: int,
+    error_pa: float,  # of the gas pressure of the last level
+) -> list[HeldFrames]:
     """Recordings of rest and of every level, each with its own noise."""
     shares = (1.0, *grid.levels)
     return [
-        rubber.recording(share, len(shares) * seed + k, frames=grid.frames, width=grid.width)
+        rubber.recording(
+            share,
+            len(shares) * seed + k,
+            frames=grid.frames,
+            width=grid.width,
+            gas_error_pa=error_pa if k == len(grid.levels) else 0.0,
+        )
         for k, share in enumerate(shares)
     ]
 

@@ -11,7 +11,7 @@ from .inflated_rubber import (
     ATMOSPHERE_PA as ATMOSPHERE_PA,
     CAMERA_NOISE as CAMERA_NOISE,
     InflatedRubber as InflatedRubber,
-    InflatedSensor as InflatedSensor,
+    still_frames as still_frames,
 )
 from .live_scenes import (
     finger_pose as finger_pose,

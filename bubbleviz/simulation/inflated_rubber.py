@@ -18,57 +18,34 @@ from bubbleviz.membrane import (
     inverse_metric,
     mesh_cap,
 )
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation.depth_noise import DepthNoise
 
+PRESSURE_NOISE_PA = 5.0  # σ of the measured pressure of a frame
 
-class InflatedSensor:
-    """Frames of an untouched membrane under one gas pressure.
 
-    Attributes
-    ----------
-    pressures_pa : (F,) array or None
-        Measured gas pressure of the frames, absolute, Pa.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        camera: DepthCamera,
-        membrane: MembraneMesh,  # deformed by the gas pressure
-        gas_pressure_pa: float | None,  # absolute; None: not measured
-        noise: DepthNoise,
-        frames: int = 40,
-        seed: int = 0,
-        pressure_noise_pa: float = 5.0,  # σ of each frame's pressure, Pa
-    ) -> None:
-        self.name, self.camera, self.noise, self.seed = name, camera, noise, seed
-        self.times_s = np.arange(frames) / 30.0
-        self._range_m = MembraneView(camera, membrane).rest_range
-        self.pressures_pa: np.ndarray | None = None
-        if gas_pressure_pa is not None:
-            noise_pa = pressure_noise_pa * np.random.default_rng([seed, 3]).standard_normal(frames)
-            self.pressures_pa = gas_pressure_pa + noise_pa
-
-    def __len__(self) -> int:
-        """Count the frames."""
-        return len(self.times_s)
-
-    def __getitem__(self, index: int) -> Frame:
-        """Frame number `index`; IndexError outside 0 … F−1."""
-        if not 0 <= index < len(self):
-            raise IndexError(f"frame {index} of {len(self)}")
-        return Frame(
+def still_frames(
+    camera: DepthCamera,
+    membrane: MembraneMesh,  # deformed by the gas pressure
+    gas_pressure_pa: float,  # absolute
+    noise: DepthNoise,
+    frames: int,
+    seed: int,
+) -> list[Frame]:
+    """Frames of a membrane that does not move, with its measured gas pressure."""
+    range_m = MembraneView(camera, membrane).rest_range
+    draws = np.random.default_rng([seed, 3]).standard_normal(frames)
+    return [
+        Frame(
             index=index,
-            time_s=float(self.times_s[index]),
-            depth_m=self.noise.depth_image(self.camera, self._range_m, self.seed, index),
-            intrinsics=self.camera.intrinsics,
-            gas_pressure_pa=None if self.pressures_pa is None else float(self.pressures_pa[index]),
+            time_s=index / 30.0,
+            depth_m=noise.depth_image(camera, range_m, seed, index),
+            intrinsics=camera.intrinsics,
+            gas_pressure_pa=float(gas_pressure_pa + PRESSURE_NOISE_PA * draw),
         )
-
-    def close(self) -> None:
-        """Nothing to close."""
+        for index, draw in enumerate(draws)
+    ]
 
 
 ATMOSPHERE_PA = 98_700.0  # at 225 m above sea level, unlike the default of sensor files
@@ -188,12 +165,13 @@ class InflatedRubber:
         noise: DepthNoise = CAMERA_NOISE,
         frames: int = 30,
         width: int = 160,
-    ) -> InflatedSensor:
+        gas_error_pa: float = 0.0,  # of the instrument
+    ) -> HeldFrames:
         """Frames at the gauge pressure at rest times `level`."""
         gauge = level * self.gauge_pressure_pa
         camera = DepthCamera.of(self.sensor(width).camera)
-        name, gas = f"{self.name} at {level:g}", ATMOSPHERE_PA + gauge
-        return InflatedSensor(name, camera, self.shape(gauge), gas, noise, frames, seed)
+        name, gas = f"{self.name} at {level:g}", ATMOSPHERE_PA + gauge + gas_error_pa
+        return HeldFrames(still_frames(camera, self.shape(gauge), gas, noise, frames, seed), name)
 
 
 def _inflated(rubber: RubberMembrane, near: np.ndarray | None, pressure_pa: float) -> MembraneMesh:

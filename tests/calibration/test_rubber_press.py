@@ -17,10 +17,10 @@ from bubbleviz.membrane import (
     mean_curvature,
     mesh_cap,
 )
-from bubbleviz.recordings import measure_depth
+from bubbleviz.recordings import HeldFrames, measure_depth
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
-from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, InflatedSensor
+from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, still_frames
 
 from .identified import identify, opened, with_air
 
@@ -31,29 +31,16 @@ GIVEN_ATMOSPHERE = ATMOSPHERE_PA + 900.0
 """The sensor file's, which nobody measured."""
 
 
-class Press:
+def press(membranes, gas_pa, camera, seed):
     """Frames without contact, then frames with a ball at a constant pose."""
-
-    name = "press"
-
-    def __init__(self, membranes, gas_pa, camera, seed):
-        self.parts = [
-            InflatedSensor(self.name, camera, mesh, gas, CAMERA_NOISE, count, seed + k)
-            for k, (mesh, gas, count) in enumerate(
-                zip(membranes, gas_pa, (FREE, HELD), strict=True)
-            )
-        ]
-        self.times_s = np.arange(FREE + HELD) / 30.0
-
-    def __len__(self):
-        return FREE + HELD
-
-    def __getitem__(self, k):
-        frame = self.parts[0][k] if k < FREE else self.parts[1][k - FREE]
-        return replace(frame, index=k, time_s=k / 30.0)
-
-    def close(self):
-        pass
+    parts = zip(membranes, gas_pa, (FREE, HELD), strict=True)
+    frames = [
+        frame
+        for k, (mesh, gas, count) in enumerate(parts)
+        for frame in still_frames(camera, mesh, gas, CAMERA_NOISE, count, seed + k)
+    ]
+    in_order = [replace(each, index=k, time_s=k / 30.0) for k, each in enumerate(frames)]
+    return HeldFrames(in_order, "press")
 
 
 @pytest.fixture(scope="module")
@@ -100,7 +87,7 @@ def given(height):
 def identified(truth, seed=0, air_pa=GIVEN_ATMOSPHERE):
     sensor, membranes, gas, _ = truth
     sensor = with_air(sensor, air_pa)
-    source = Press(membranes, gas, DepthCamera.of(sensor.camera), seed)
+    source = press(membranes, gas, DepthCamera.of(sensor.camera), seed)
     found = identify(source, sensor, range(FREE), nodes=300)
     return found, collect_press(source, found.samples, found.given)
 
