@@ -18,7 +18,7 @@ from bubbleviz.camera import FlowField
 from bubbleviz.membrane import Gas, MembraneMesh, build_mesh, build_rubber
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import Frame
-from bubbleviz.result import Result, Traction
+from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise
 from bubbleviz.study.accuracy import at_nodes
@@ -38,7 +38,7 @@ from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import OFFSET_M, Motion, ShearTruth, pressed, shear_sensor
 
 _DEPTH: frozenset[Product] = frozenset({"patch"})
-_SHEAR: frozenset[Product] = frozenset({"patch", "slip"})
+_SHEAR: frozenset[Product] = frozenset({"traction", "slip"})
 DEPTH_NOISE = DepthNoise(absolute_m=5e-5, correlation_px=2.0)
 _SLIPPED_M = 1e-4
 """Displacement over the object that counts as slip; chosen: texture noise hides less."""
@@ -205,42 +205,41 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
 
 def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
     """Errors of a frame's traction and slip, and by depth alone; the caller fills the others."""
-    estimate, traction = by_depth.estimate, result.traction
-    if estimate is None or traction is None:
-        raise ValueError("the result lacks the estimate or the traction")
-    alone = np.full(3, np.nan) if estimate.force_n is None else estimate.force_n
+    (before, _), (estimate, patch) = by_depth.solution, result.solution
+    alone, force, sigma = before.force_n, estimate.force_n, estimate.force_sigma_n
+    if alone is None or force is None or sigma is None or result.traction is None:
+        raise ValueError("the result lacks the force or the traction")
     true, size = truth.force_n, float(np.linalg.norm(truth.force_n))
-    difference = traction.force_n - true
-    length = float(np.linalg.norm(traction.force_n))
-    cosine = float(np.clip(traction.force_n @ true / (length * size), -1.0, 1.0))
-    center, patch = truth.center_m, by_depth.trusted_patch
-    center_alone = np.full(3, np.nan) if patch is None else patch.center_of_pressure_m
+    difference, length = force - true, float(np.linalg.norm(force))
+    cosine = float(np.clip(force @ true / (length * size), -1.0, 1.0))
+    center, seen = truth.center_m, by_depth.trusted_patch
+    center_alone = np.full(3, np.nan) if seen is None else seen.center_of_pressure_m
     twisted = truth.torque_nm(center)[2]
-    found = traction.torque_about(center)[2]
+    found = (patch.torque_nm + np.cross(patch.center_of_pressure_m - center, force))[2]
     slip, true_slip = result.slip, 0.0
     if slip is not None and isinstance(truth, DraggedTruth):
         true_slip = truth.slip_share(_SLIPPED_M)
     return ShearTrial(
-        depth_status=estimate.status,
-        status=traction.status,
+        depth_status=before.status,
+        status=result.traction.status,
         depth_force_error=float(np.linalg.norm(alone - true)) / size,
         force_error=float(np.linalg.norm(difference)) / size,
         angle_rad=float(np.arccos(cosine)),
         torque_error=abs(float(found / twisted) - 1.0),
-        displacement_rms_m=along_error_m(traction, truth, mesh),
+        displacement_rms_m=along_error_m(estimate, truth, mesh),
         depth_center_error_m=float(np.linalg.norm(center_alone - center)),
-        center_error_m=float(np.linalg.norm(traction.center_m - center)),
-        sigmas=float(np.linalg.norm(difference) / np.linalg.norm(traction.force_sigma_n)),
+        center_error_m=float(np.linalg.norm(patch.center_of_pressure_m - center)),
+        sigmas=float(np.linalg.norm(difference) / np.linalg.norm(sigma)),
         slip=np.nan if slip is None else slip.share,
         true_slip=np.nan if slip is None else true_slip,
     )
 
 
-def along_error_m(traction: Traction, truth: ShearTruth, mesh: MembraneMesh) -> float:
+def along_error_m(estimate: Estimate, truth: ShearTruth, mesh: MembraneMesh) -> float:
     """Root mean square error of the displacement along the membrane over a mesh's nodes, m."""
     true = at_nodes(mesh, truth.mesh, truth.displacement_m)
     normals = at_nodes(mesh, truth.mesh, truth.normals)
-    error = traction.positions_m - mesh.nodes - true
+    error = mesh.deformed(estimate.motion_m) - mesh.nodes - true
     along = error - np.einsum("ij,ij->i", error, normals)[:, None] * normals
     return float(np.sqrt(np.mean(np.sum(along**2, axis=1))))
 

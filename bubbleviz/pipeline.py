@@ -409,8 +409,8 @@ class Pipeline:
         frame, (before, after) = result.frame, self._slip_starts
         again = after is not None and after.frame == frame.index  # compared with the same anchors
         start = before if again else after
-        traction = _required(result.traction)
-        slip, after = self._slip_finder.find(traction, result.flow, frame, start)
+        estimate = _required(result.estimate)
+        slip, after = self._slip_finder.find(estimate, result.flow, frame, start)
         self._slip_starts = start, after
         return replace(result, slip=slip)
 
@@ -475,8 +475,8 @@ _STAGES: dict[Product, _Stage] = {
     "pixel_mask": _Stage(("patch",), Pipeline._pixel_mask_stage),
     "pose": _Stage(("patch",), Pipeline._pose_stage),
     "object_patch": _Stage(("pose",), Pipeline._object_patch_stage),
-    "traction": _Stage(("estimate", "flow"), Pipeline._traction_stage),
-    "slip": _Stage(("traction", "flow"), Pipeline._slip_stage),
+    "traction": _Stage(("patch", "flow"), Pipeline._traction_stage),
+    "slip": _Stage(("estimate", "flow"), Pipeline._slip_stage),
     "cloud": _Stage((), Pipeline._cloud_stage),
     "residual": _Stage(("estimate", "cloud"), Pipeline._residual_stage),
     "texture": _Stage(("estimate",), Pipeline._texture_stage),

@@ -175,13 +175,16 @@ class Estimate:
         return None if covariance is None else np.sqrt(np.diag(covariance)[:3])
 
     def torque_sigma_about(self, point_m: np.ndarray) -> np.ndarray:
-        """Standard deviation of the torque about a point (3,) in B, (3,), N·m.
+        """Standard deviation of the torque about a point (3,) in B, (3,), N·m."""
+        return np.sqrt(np.diag(self.torque_covariance_about(point_m)))
 
-        NaN for the paper's solver.
-        """
+    def torque_covariance_about(self, point_m: np.ndarray) -> np.ndarray:
+        """Covariance of the torque about a point (3,) in B, (3, 3); NaN for the paper's solver."""
         if self.wrench_covariance is None:
-            return np.full(3, np.nan)
-        return _torque_sigma(self.wrench_covariance, point_m)
+            return np.full((3, 3), np.nan)
+        J = wrench_about(point_m)[3:]
+        covariance: np.ndarray = J @ self.wrench_covariance @ J.T
+        return covariance
 
     @property
     def force_half_width_n(self) -> float:
@@ -272,68 +275,15 @@ known by depth alone: two slides and a spin of each contact."""
 
 @dataclass(frozen=True)
 class Traction:
-    """Traction of a contact with friction from depth and optical flow."""
+    """Where the force of an estimate on the exact membrane acts, and what is known of friction."""
 
-    status: TractionStatus  # with `no_data` and `not_converged`, numbers are NaN
-    nodal_force_n: np.ndarray  # (n, 3), of the object on the membrane, N
-    # normal_force_n, tangential_force_n: (n, 3), its normal and tangential parts, N
-    normal_force_n: np.ndarray
-    tangential_force_n: np.ndarray
-    traction_pa: np.ndarray  # (n, 3), force over the deformed area of the node, Pa
-    positions_m: np.ndarray  # (n, 3), nodes of the deformed membrane, m
+    status: TractionStatus
+    # normal_pa, tangential_pa: (n, 3), force on the membrane over the deformed area of the node, Pa
+    normal_pa: np.ndarray
+    tangential_pa: np.ndarray
     # (n, 3), displacement from the reference surface minus its part along the deformed normal, m
     tangential_displacement_m: np.ndarray
-    center_m: np.ndarray  # (3,), centre of the contact's normal force, m; NaN without contact
-    # (6, 6), of the force, N, and the torque about `center_m`, N·m
-    wrench_covariance: np.ndarray
-    # rms over the contact of the standard deviation of a node's displacement by noise, per axis, m
-    displacement_sigma_m: float = np.nan
-    flow_rms_px: float = np.nan  # measured minus modelled motion in the image; NaN without flow
     reason: str = ""  # why friction or traction is unknown, in one clause; empty if known
-
-    @property
-    def contact_pressure_pa(self) -> np.ndarray:
-        """Normal traction, (n,), Pa; 0 outside the contact."""
-        return np.linalg.norm(self.parts_pa[0], axis=1)
-
-    @property
-    def parts_pa(self) -> tuple[np.ndarray, np.ndarray]:
-        """Normal and tangential traction, (n, 3) each, Pa."""
-        force = np.linalg.norm(self.nodal_force_n, axis=1)
-        per_area = np.linalg.norm(self.traction_pa, axis=1) / np.where(force > 0.0, force, 1.0)
-        return per_area[:, None] * self.normal_force_n, per_area[:, None] * self.tangential_force_n
-
-    @property
-    def force_n(self) -> np.ndarray:
-        """Force of the object on the membrane in B, (3,), N."""
-        total: np.ndarray = self.nodal_force_n.sum(axis=0)
-        return total
-
-    @property
-    def force_sigma_n(self) -> np.ndarray:
-        """Standard deviation of `force_n`, (3,), N."""
-        return np.sqrt(np.diag(self.wrench_covariance)[:3])
-
-    @property
-    def torque_nm(self) -> np.ndarray:
-        """Torque of the object on the membrane about `center_m` in B, (3,), N·m."""
-        return self.torque_about(self.center_m)
-
-    @property
-    def torque_sigma_nm(self) -> np.ndarray:
-        """Standard deviation of `torque_nm`, (3,), N·m."""
-        return self.torque_sigma_about(self.center_m)
-
-    def torque_about(self, point_m: np.ndarray) -> np.ndarray:
-        """Torque about a point (3,) in B, (3,), N·m; 0 without contact."""
-        touching = self.nodal_force_n.any(axis=1)
-        arm = self.positions_m[touching] - point_m
-        total: np.ndarray = np.cross(arm, self.nodal_force_n[touching]).sum(axis=0)
-        return total
-
-    def torque_sigma_about(self, point_m: np.ndarray) -> np.ndarray:
-        """Standard deviation of the torque about a point (3,) in B, (3,), N·m."""
-        return _torque_sigma(self.wrench_covariance, point_m - self.center_m)
 
 
 def wrench_about(point_m: np.ndarray) -> np.ndarray:
@@ -342,13 +292,6 @@ def wrench_about(point_m: np.ndarray) -> np.ndarray:
     matrix = np.eye(6)
     matrix[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]  # τ − point × F
     return matrix
-
-
-def _torque_sigma(covariance: np.ndarray, point_m: np.ndarray) -> np.ndarray:
-    """σ (3,) of the torque about a point (3,), from the covariance (6, 6) about the origin."""
-    J = wrench_about(point_m)[3:]
-    sigma: np.ndarray = np.sqrt(np.diag(J @ covariance @ J.T))
-    return sigma
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 from .frame_numbers import (
     Measure as Measure,
     Numbers as Numbers,
-    ShearEllipse as ShearEllipse,
     ShearNumbers as ShearNumbers,
     numbers_of as numbers_of,
     patch_numbers as patch_numbers,

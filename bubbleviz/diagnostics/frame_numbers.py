@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from bubbleviz.membrane import Gas
 from bubbleviz.recordings import force_of
-from bubbleviz.result import HALF_95, Patch, Result, Slip, Traction
+from bubbleviz.result import HALF_95, Patch, Result
 
 # Summary values of a contact with friction, with 95 % intervals.
 
@@ -39,63 +39,57 @@ class ShearNumbers:
     # largest tangential displacement of the nodes in contact, m
     displacement_m: Measure = UNKNOWN
     slip_share: Measure = UNKNOWN  # share of the patch that slips relative to the rest, 0 to 1
+    # tangential force along x and y of B, (2,), N, and the outline of its 95 % region, (k, 2)
+    across_n: np.ndarray | None = None
+    outline_n: np.ndarray | None = None
 
     @classmethod
-    def of(cls, traction: Traction, slip: Slip | None = None) -> ShearNumbers:
+    def of(cls, result: Result) -> ShearNumbers:
         """Values of a frame; displacement and slip are unknown from depth alone."""
-        along = traction.normal_force_n.sum(axis=0)
-        size, force = float(np.linalg.norm(along)), traction.force_n
-        if traction.status == "no_contact":
-            return cls(force_n=(0.0, np.nan))
-        if traction.status not in ("ok", "depth_alone") or not size > 0.0:
+        traction, slip = result.traction, result.slip
+        if traction is None:
             return cls()
-        n, covariance = along / size, traction.wrench_covariance
-        total = _along(force, _unit(force), covariance[:3, :3])
-        normal = _along(force, n, covariance[:3, :3])
-        if not traction.tangential_force_n.any():  # friction was not estimated
+        estimate, patch = result.solution
+        nodal, friction = estimate.nodal_force_n, estimate.friction_n
+        if estimate.status == "no_contact":
+            return cls(force_n=(0.0, np.nan))
+        if not estimate.trusted or nodal is None or friction is None:
+            return cls()
+        assert estimate.wrench_covariance is not None  # as of every estimate of friction
+        force, covariance = nodal.sum(axis=0), estimate.wrench_covariance[:3, :3]
+        n = _unit(force - friction.sum(axis=0))
+        total, normal = _along(force, _unit(force), covariance), _along(force, n, covariance)
+        if not friction.any():  # it was not estimated
             return cls(total, normal)
         across = force - normal[0] * n
-        tangential = _along(force, _unit(across), covariance[:3, :3])
-        direction = _direction(across, covariance[:3, :3])
-        torque = _along(traction.torque_nm, n, covariance[3:, 3:])
-        if traction.status == "depth_alone":
-            return cls(total, normal, tangential, direction, torque)
-        touched = traction.nodal_force_n.any(axis=1)
-        moved = np.linalg.norm(traction.tangential_displacement_m[touched], axis=1)
-        return cls(
+        center = patch.center_of_pressure_m
+        found = cls(
             total,
             normal,
-            tangential,
-            direction,
-            torque,
-            (float(moved.max()), HALF_95 * traction.displacement_sigma_m),
-            UNKNOWN if slip is None else (slip.share, HALF_95 * slip.share_sigma),
+            _along(force, _unit(across), covariance),
+            _direction(across, covariance),
+            _along(patch.torque_nm, n, estimate.torque_covariance_about(center)),
+            across_n=across[:2],
+            outline_n=_outline(across, n, covariance),
+        )
+        if estimate.flow is None:
+            return found
+        moved = np.linalg.norm(traction.tangential_displacement_m[nodal.any(axis=1)], axis=1)
+        return replace(
+            found,
+            displacement_m=(float(moved.max()), HALF_95 * estimate.flow.displacement_sigma_m),
+            slip_share=UNKNOWN if slip is None else (slip.share, HALF_95 * slip.share_sigma),
         )
 
 
-@dataclass(frozen=True)
-class ShearEllipse:
-    """Tangential force in the x-y plane of the bubble frame."""
-
-    force_n: np.ndarray  # (2,), along x and y, N
-    outline_n: np.ndarray  # (k, 2), closed outline of the 95 % region, N
-
-    @classmethod
-    def of(cls, traction: Traction) -> ShearEllipse | None:
-        """Ellipse of a frame; None without friction."""
-        along = traction.normal_force_n.sum(axis=0)
-        known = traction.status in ("ok", "depth_alone") and traction.tangential_force_n.any()
-        if not known or not along.any():
-            return None
-        n = _unit(along)
-        across = (np.eye(3) - np.outer(n, n))[:2]
-        force = across @ traction.force_n
-        covariance = across @ traction.wrench_covariance[:3, :3] @ across.T
-        lengths, axes = np.linalg.eigh(covariance)
-        angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE_POINTS)
-        circle = np.stack([np.cos(angle), np.sin(angle)])
-        reach = _REGION_95 * np.sqrt(np.maximum(lengths, 0.0))
-        return cls(force, force + (axes @ (reach[:, None] * circle)).T)
+def _outline(across: np.ndarray, n: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """95 % region of a force (3,) across a normal (3,), in the x-y plane, (k, 2)."""
+    project = (np.eye(3) - np.outer(n, n))[:2]
+    lengths, axes = np.linalg.eigh(project @ covariance @ project.T)
+    angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE_POINTS)
+    reach = _REGION_95 * np.sqrt(np.maximum(lengths, 0.0))
+    ellipse: np.ndarray = (axes * reach) @ np.stack([np.cos(angle), np.sin(angle)])
+    return across[:2] + ellipse.T
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
@@ -181,7 +175,7 @@ def numbers_of(result: Result, gas: Gas) -> Numbers:
         if result.patch is not None:
             known |= patch_numbers(result.patch, trusted=estimate.trusted)
     if result.traction is not None:
-        shear = ShearNumbers.of(result.traction, result.slip)
+        shear = ShearNumbers.of(result)
         known |= {
             "has_shear": True,
             "shear_normal_n": shear.normal_n[0],
@@ -211,7 +205,7 @@ def shear_line(result: Result) -> str:
     if traction.status != "ok":
         status = traction.status.replace("_", " ")
         return f"{status}: {traction.reason}" if traction.reason else status
-    return _words(ShearNumbers.of(traction, result.slip))
+    return _words(ShearNumbers.of(result))
 
 
 def _words(numbers: ShearNumbers) -> str:

@@ -26,7 +26,7 @@ from bubbleviz.recordings import (
     ros2_types,
     serialise,
 )
-from bubbleviz.result import Estimate, Result, Traction
+from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor_model import SensorModel
 
@@ -249,34 +249,33 @@ def _object_pose(_: ResultMessages, header: Any, result: Result) -> Any:
     return kinds[POSE](header, body)
 
 
-def _friction(result: Result) -> Traction | None:
-    """Traction with friction, or None."""
+def _by_colour(result: Result) -> bool:
+    """Whether colour took part in the force."""
     traction = result.traction
-    known = traction is not None and traction.status == "ok" and result.trusted_estimate is not None
-    return traction if known else None
+    return traction is not None and traction.status == "ok" and result.trusted_estimate is not None
 
 
 def _traction_wrench(messages: ResultMessages, header: Any, result: Result) -> Any:
     """The wrench, where colour took part in it or there is no contact."""
     untouched = result.traction is not None and result.traction.status == "no_contact"
-    known = untouched or _friction(result) is not None
-    return _wrench(messages, header, result) if known else None
+    return _wrench(messages, header, result) if untouched or _by_colour(result) else None
 
 
 def _traction_sigma(messages: ResultMessages, header: Any, result: Result) -> Any:
-    return _wrench_sigma(messages, header, result) if _friction(result) else None
+    return _wrench_sigma(messages, header, result) if _by_colour(result) else None
 
 
 def _traction_center(_: ResultMessages, header: Any, result: Result) -> Any:
-    if (traction := _friction(result)) is None:
+    patch = result.trusted_patch
+    if patch is None or not _by_colour(result):
         return None
-    kinds = ros2_types().types
-    return kinds[POINT](header, kinds["geometry_msgs/msg/Point"](*traction.center_m.tolist()))
+    center = ros2_types().types["geometry_msgs/msg/Point"](*patch.center_of_pressure_m.tolist())
+    return ros2_types().types[POINT](header, center)
 
 
 def _slip(name: str, _: ResultMessages, header: Any, result: Result) -> Any:
     """A number of the slip, by the name of its field."""
-    if result.slip is None or _friction(result) is None:
+    if result.slip is None or not _by_colour(result):
         return None
     return ros2_types().types[NUMBER](float(getattr(result.slip, name)))
 

@@ -24,6 +24,9 @@ def by_axis(*keys: str) -> dict[str, tuple[str, ...]]:
     return {key: tuple(f"{p[0]}_{axis}_{p[2]}" for axis in "xyz") for key, p in parts.items()}
 
 
+_WRENCH = ("force_n", "force_sigma_n", "torque_nm", "torque_sigma_nm")
+"""Keys that exist with the prefix `traction_`, too, as a frame had a second force by colour."""
+
 COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("frame", "time_s", "status", "gas_pressure_change_pa", "threshold_pa"), ()),
     **by_axis("force_n", "force_sigma_n", "normal_force_n", "tangential_force_n"),
@@ -38,8 +41,7 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("residual_rms_m", "kkt_residual", "solve_ms", "total_ms", "kappa"), ()),
     # only with the products traction and slip:
     **dict.fromkeys(("traction_status", "traction_reason"), ()),
-    **by_axis("traction_force_n", "traction_force_sigma_n"),
-    **by_axis("traction_torque_nm", "traction_torque_sigma_nm"),
+    **by_axis(*(f"traction_{key}" for key in _WRENCH)),
     **dict.fromkeys(("flow_rms_px", "slip", "slip_sigma"), ()),
 }
 """Keys of RESULT.npz with one value or a short vector per frame, and their columns in the CSV; an
@@ -116,7 +118,7 @@ def summary_row(result: Result) -> dict[str, Any]:
     if not estimate.trusted:
         for key in row.keys() & {*COLUMNS, _COVARIANCE} - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
-    return row | _shear_row(result)
+    return row | _shear_row(result, row)
 
 
 def _known_covariance(estimate: Estimate) -> np.ndarray:
@@ -124,22 +126,19 @@ def _known_covariance(estimate: Estimate) -> np.ndarray:
     return np.full((6, 6), np.nan) if covariance is None else covariance
 
 
-def _shear_row(result: Result) -> dict[str, Any]:
-    """Traction and slip of a frame; empty without the product traction.
+def _shear_row(result: Result, row: dict[str, Any]) -> dict[str, Any]:
+    """Traction and slip of a frame with this row; empty without the product traction.
 
     NaN for unknown values, as slip without a sticking patch.
     """
-    traction, slip = result.traction, result.slip
+    traction, slip, flow = result.traction, result.slip, result.solution[0].flow
     if traction is None:
         return {}
     return {
         "traction_status": traction.status,
         "traction_reason": traction.reason,
-        "traction_force_n": traction.force_n,
-        "traction_force_sigma_n": traction.force_sigma_n,
-        "traction_torque_nm": traction.torque_nm,
-        "traction_torque_sigma_nm": traction.torque_sigma_nm,
-        "flow_rms_px": traction.flow_rms_px,
+        **{f"traction_{key}": row[key] for key in _WRENCH},
+        "flow_rms_px": np.nan if flow is None else flow.rms_px,
         "slip": np.nan if slip is None else slip.share,
         "slip_sigma": np.nan if slip is None else slip.share_sigma,
     }
@@ -157,16 +156,12 @@ def nodal_fields(
         "contact_pressure_pa": estimate.contact_pressure_pa,
         "patch_level": patch.level,
     }
+    if (traction := result.traction) is not None:
+        fields["traction_pa"] = traction.normal_pa + traction.tangential_pa
+        fields["tangential_displacement_m"] = traction.tangential_displacement_m
     if not estimate.trusted:
         fields = {name: np.full_like(field, np.nan) for name, field in fields.items()}
-    traction = result.traction
-    if traction is None:
-        return fields
-    return {
-        **fields,
-        "traction_pa": traction.traction_pa,
-        "tangential_displacement_m": traction.tangential_displacement_m,
-    }
+    return fields
 
 
 def result_arrays(

@@ -19,7 +19,7 @@ from scipy.special import ndtr
 from bubbleviz.camera import FlowObserver, PinnedPoints
 from bubbleviz.inverse import PatchEdge
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.result import Slip, Traction
+from bubbleviz.result import Estimate, Slip
 
 if TYPE_CHECKING:
     from bubbleviz.camera import FlowField
@@ -54,7 +54,7 @@ class SlipStart:
 
 
 class SlipFinder:
-    """Finds slip in the tractions and flows of successive frames."""
+    """Finds slip in the estimates and flows of successive frames."""
 
     def __init__(
         self,
@@ -63,20 +63,20 @@ class SlipFinder:
         held_pressure_pa: float,  # gauge pressure of the reference configuration
         resolution_m: float,  # width of the estimate's response to a point load, m
     ) -> None:
-        self._observer, self._edge = observer, PatchEdge(mesh)
+        self._observer, self._mesh, self._edge = observer, mesh, PatchEdge(mesh)
         self._held_pa, self._resolution_m = held_pressure_pa, resolution_m
 
     def find(
         self,
-        traction: Traction,
-        flow: FlowField | None,  # used for that traction
+        estimate: Estimate,
+        flow: FlowField | None,  # of the frame
         frame: Frame,
         start: SlipStart | None = None,  # of an earlier frame, perhaps in another contact
     ) -> tuple[Slip | None, SlipStart | None]:
         """Slip of one frame, None if too few points stick; and the state for the next frame."""
-        if traction.status != "ok" or flow is None:
+        if estimate.status != "ok" or estimate.flow is None or flow is None:
             return None, None
-        point, pinned = self._inside(traction, flow)
+        point, pinned = self._inside(estimate, flow)
         now = frame.index, frame.time_s
         all_stuck = np.ones(len(point), bool)
         first = SlipStart(point, pinned.position, pinned.covariance, all_stuck, *now)
@@ -106,21 +106,23 @@ class SlipFinder:
         sticks[known] = stuck & ~slip.slipping
         return slip, SlipStart(point, anchors, covariance, sticks, *now)
 
-    def _inside(self, traction: Traction, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
+    def _inside(self, estimate: Estimate, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
         """Points that are surely inside the patch, and their positions.
 
         Within the uncertainty of the edge, points may not touch, and those move relative to the
         object.
         """
         measured = self._observer.measure(flow)
-        level = self._edge.level_set(
-            traction.contact_pressure_pa, self._held_pa, self._resolution_m
-        )
+        pressure = estimate.contact_pressure_pa
+        level = self._edge.level_set(pressure, self._held_pa, self._resolution_m)
         depth = self._observer.interpolated(level, measured.point)
         inside = np.flatnonzero(depth > self._edge.blur_m(self._resolution_m))
         point = measured.point[inside]
         return point, self._observer.pinned(
-            traction.positions_m, point, measured.moved_px[inside], measured.sigma_px[inside]
+            self._mesh.deformed(estimate.motion_m),
+            point,
+            measured.moved_px[inside],
+            measured.sigma_px[inside],
         )
 
 

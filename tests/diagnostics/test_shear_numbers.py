@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from bubbleviz.diagnostics import ShearEllipse, ShearNumbers
-from bubbleviz.result import Slip, Traction
+from bubbleviz.diagnostics import ShearNumbers
+from bubbleviz.recordings import Frame
+from bubbleviz.result import Estimate, FlowFit, Patch, Result, Slip, Traction
 
 NODES = 5
 UNKNOWN = (np.nan, np.nan)
@@ -16,24 +17,29 @@ HALF = 1.96 * 0.05
 """Of the 95 % interval at σ = 0.05."""
 
 
-def traction(status="ok", across=(0.6, 0.8, 0.0), sigma=0.05):
+def dragged(across=(0.6, 0.8, 0.0), sigma=0.05, torque=(0.0, 0.0, 0.0), **changes):
     """Three nodes pressed down with 1 N each, dragged with 1 N in all, of five."""
-    normal, along = np.zeros((NODES, 3)), np.zeros((NODES, 3))
+    normal, along, moved = (np.zeros((NODES, 3)) for _ in range(3))
     normal[:3, 2] = -1.0
     along[:3] = np.array(across) / 3.0
-    moved = np.zeros((NODES, 3))
     moved[1] = (3e-4, 4e-4, 0.0)
     moved[4] = 1e-2  # touches nothing
-    positions = np.array([[0.01, 0, 0], [-0.01, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
-    force = normal + along
-    return Traction(
-        status, force, normal, along, 1e4 * force, positions, moved, np.zeros(3),
-        np.diag([sigma**2] * 3 + [1e-8] * 3), 2e-5,
-    )  # fmt: skip
+    known = {
+        "nodal_force_n": normal + along,
+        "friction_n": along,
+        "wrench_covariance": np.diag([sigma**2] * 3 + [1e-8] * 3),
+        "flow": FlowFit(0.1, 1.0, 2e-5),
+    }
+    zero = np.zeros(NODES)
+    estimate = Estimate("ok", zero, zero, 0.0, 0.0, 0.0, **{**known, **changes})
+    patch = Patch(0.0, zero, along.sum(axis=0), np.zeros(3), 1e-4, torque_nm=np.array(torque))
+    traction = Traction("ok", 1e4 * normal, 1e4 * along, moved)
+    frame = Frame(0, 0.0, np.zeros((1, 1), np.float32))
+    return Result(frame, estimate, patch, traction=traction)
 
 
 def test_force_and_direction_of_a_known_traction():
-    found = ShearNumbers.of(traction())
+    found = ShearNumbers.of(dragged())
     assert found.force_n == pytest.approx((math.sqrt(10.0), HALF))
     assert found.normal_n == pytest.approx((3.0, HALF))
     assert found.tangential_n == pytest.approx((1.0, HALF))
@@ -45,52 +51,44 @@ def test_force_and_direction_of_a_known_traction():
 
 
 def test_torque_is_about_the_normal_into_the_sensor():
-    twisted = traction(across=(0.0, 0.0, 0.0))
-    twisted.nodal_force_n[0, 1] = 0.5  # at x = 10 mm
-    twisted.nodal_force_n[1, 1] = -0.5
-    twisted.tangential_force_n[:2] = twisted.nodal_force_n[:2] * (0.0, 1.0, 0.0)
     # right-handed about +z by 10 N·mm, so about −z by minus that
-    assert ShearNumbers.of(twisted).torque_nm == pytest.approx((-0.01, 1.96e-4))
+    twisted = ShearNumbers.of(dragged(torque=(0.0, 0.0, 0.01)))
+    assert twisted.torque_nm == pytest.approx((-0.01, 1.96e-4))
 
 
 def test_no_direction_is_shown_if_its_interval_is_too_wide():
-    found = ShearNumbers.of(traction(across=(0.06, 0.08, 0.0)))
+    found = ShearNumbers.of(dragged(across=(0.06, 0.08, 0.0)))
     assert np.isnan(found.direction_deg).all() and found.tangential_n[0] == pytest.approx(0.1)
 
 
 def test_from_depth_alone_forces_are_known_but_no_displacement_or_slip():
-    found, with_texture = ShearNumbers.of(traction("depth_alone")), ShearNumbers.of(traction())
+    found, with_texture = ShearNumbers.of(dragged(flow=None)), ShearNumbers.of(dragged())
     unknown = {"displacement_m": UNKNOWN, "slip_share": UNKNOWN}
     assert repr(found) == repr(replace(with_texture, **unknown))
-    assert ShearEllipse.of(traction("depth_alone")) is not None
-    frictionless = replace(traction("depth_alone"), tangential_force_n=np.zeros((NODES, 3)))
-    alone = ShearNumbers.of(frictionless)
+    assert found.outline_n is not None
+    alone = ShearNumbers.of(dragged(friction_n=np.zeros((NODES, 3))))
     for measure in (alone.tangential_n, alone.direction_deg, alone.torque_nm):
         assert np.isnan(measure).all()
-    assert ShearEllipse.of(frictionless) is None
-    assert np.isnan(ShearNumbers.of(traction("not_converged")).force_n).all()
-    assert ShearNumbers.of(traction("no_contact")).force_n[0] == 0.0
+    assert alone.outline_n is None
+    doubtful, untouched = dragged(), dragged()
+    doubtful = replace(doubtful, estimate=replace(doubtful.estimate, status="not_converged"))
+    untouched = replace(untouched, estimate=replace(untouched.estimate, status="no_contact"))
+    assert np.isnan(ShearNumbers.of(doubtful).force_n).all()
+    assert ShearNumbers.of(untouched).force_n[0] == 0.0
 
 
 def test_slip_is_a_share_with_its_interval():
     slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.25, 0.05)
-    assert ShearNumbers.of(traction(), slip).slip_share == pytest.approx((0.25, HALF))
-
-
-def test_the_parts_of_a_traction_add_up_to_it():
-    whole = traction()
-    normal, along = whole.parts_pa
-    np.testing.assert_allclose(normal + along, whole.traction_pa)
-    np.testing.assert_allclose(along[:3], np.tile([2000.0, 8000.0 / 3.0, 0.0], (3, 1)))
+    found = ShearNumbers.of(replace(dragged(), slip=slip))
+    assert found.slip_share == pytest.approx((0.25, HALF))
 
 
 def test_ellipse_contains_95_percent_of_the_tangential_forces():
     root = np.array([[0.05, 0.02, 0.0], [0.0, 0.1, 0.03], [0.01, 0.0, 0.3]])
     covariance = np.zeros((6, 6))
     covariance[:3, :3] = root @ root.T
-    whole = replace(traction(), wrench_covariance=covariance)
-    ellipse = ShearEllipse.of(whole)
-    np.testing.assert_allclose(ellipse.force_n, [0.6, 0.8])
-    drawn = whole.force_n + np.random.default_rng(0).standard_normal((20_000, 3)) @ root.T
-    inside = Path(ellipse.outline_n).contains_points(drawn[:, :2])  # the normal is along z
+    found = ShearNumbers.of(dragged(wrench_covariance=covariance))
+    np.testing.assert_allclose(found.across_n, [0.6, 0.8])
+    drawn = found.across_n + np.random.default_rng(0).standard_normal((20_000, 3)) @ root.T[:, :2]
+    inside = Path(found.outline_n).contains_points(drawn)  # the normal is along z
     assert inside.mean() == pytest.approx(0.95, abs=0.01)

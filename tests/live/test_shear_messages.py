@@ -51,8 +51,8 @@ def test_messages_have_wrench_and_slip(eyes, dragged):
     assert got.keys() >= SHEAR_TOPICS
     wrench, size = got["traction_wrench"].wrench, np.linalg.norm(truth.force_n)
     np.testing.assert_allclose(vector(wrench.force), truth.force_n, atol=0.05 * size)
-    centre, about_centre = vector(got["traction_center"].point), dragged.traction.torque_nm
-    expected = about_centre + np.cross(centre, vector(wrench.force))
+    centre = vector(got["traction_center"].point)
+    expected = dragged.patch.torque_nm + np.cross(centre, vector(wrench.force))
     np.testing.assert_allclose(vector(wrench.torque), expected, atol=1e-12)
     for name in ("wrench", "wrench_sigma"):  # a frame has one force, colour or not
         assert got[f"traction_{name}"] == got[f"contact_{name}"]

@@ -74,7 +74,7 @@ def test_force_torque_and_slip_of_a_known_puck():
     assert said[1].endswith(f"Collecting colour images without contact: 1 of {COLLECTED}")
     assert watcher.solver.texture.words == f"{COLLECTED - LAG} images without contact"
     np.testing.assert_allclose(
-        result.traction.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
+        result.estimate.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
     )
     assert statuses.count("no_contact") >= COLLECTED - LAG and statuses.count("ok") >= 3
     assert 0.0 < result.estimate.force_half_width_n < 0.2 * np.linalg.norm(truth.force_n)

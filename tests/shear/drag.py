@@ -55,9 +55,10 @@ class Eyes:
         index = len(self.flows) - 1
         return Frame(index, index / 30.0, seen.depth_m)
 
-    def traction(self, frame):
-        """Traction of a frame."""
-        return self.pipeline.process(frame, frozenset({"traction"})).traction
+    def solve(self, frame):
+        """Estimate of a frame by depth and flow, and its traction."""
+        result = self.pipeline.process(frame, frozenset({"traction"}))
+        return result.estimate, result.traction
 
     def rest(self):
         """The next frame, of the membrane at rest."""

@@ -8,9 +8,9 @@ from fakes import FIRST_CONTACT, DentSource, SpeckledSource, record, small_senso
 from PySide6.QtCore import Qt
 from window_driver import clipboard_text, text_actors, view_texts
 
-from bubbleviz.diagnostics import ShearEllipse
+from bubbleviz.diagnostics import ShearNumbers
 from bubbleviz.recordings import LAG
-from bubbleviz.result import Slip, Traction
+from bubbleviz.result import FlowFit, Slip, Traction
 from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.engine.shear_reference import NEEDS_RUBBER
 from bubbleviz_ui.engine.source import Source
@@ -223,14 +223,21 @@ def dragged(driver, status="ok"):
     top = np.argsort(np.linalg.norm(mesh.nodes[:, :2], axis=1))[:3]
     normal, along = np.zeros(mesh.nodes.shape), np.zeros(mesh.nodes.shape)
     normal[top, 2], along[top, 0] = -1.0, 0.5
-    force = normal + along
-    covariance = np.diag([0.01] * 3 + [1e-8] * 3)
-    traction = Traction(
-        status, force, normal, along, 1e3 * force, mesh.nodes, 1e-3 * along, mesh.nodes[top[0]],
-        covariance, 1e-5, reason="" if status == "ok" else "no texture",
-    )  # fmt: skip
+    estimate = replace(
+        result.estimate,
+        status="ok",
+        nodal_force_n=normal + along,
+        friction_n=along,
+        wrench_covariance=np.diag([0.01] * 3 + [1e-8] * 3),
+        flow=FlowFit(0.1, 1.0, 1e-5) if status == "ok" else None,
+    )
+    patch = replace(
+        result.patch, center_of_pressure_m=mesh.nodes[top[0]], torque_nm=np.array([0, 0, 0.02])
+    )
+    reason = "" if status == "ok" else "no texture"
+    traction = Traction(status, 1e3 * normal, 1e3 * along, 1e-3 * along, reason)
     slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.4, 0.1)
-    return replace(result, traction=traction, slip=slip)
+    return replace(result, estimate=estimate, patch=patch, traction=traction, slip=slip)
 
 
 def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
@@ -238,10 +245,10 @@ def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     qtbot.addWidget(plot)
     plot.show()
     outline = np.array([[0.1, 0.2], [0.3, 0.2], [0.1, 0.2]])
-    plot.draw(ShearEllipse(np.array([0.2, 0.2]), outline), Unit("mN", 1e3, 0))
+    plot.draw(ShearNumbers(across_n=np.array([0.2, 0.2]), outline_n=outline), Unit("mN", 1e3, 0))
     np.testing.assert_allclose(np.stack(plot.outline.getData(), axis=1), 1e3 * outline)
     np.testing.assert_allclose(np.stack(plot.force.getData()), [[0, 200], [0, 200]])
-    plot.draw(None, Unit("mN", 1e3, 0))
+    plot.draw(ShearNumbers(), Unit("mN", 1e3, 0))
     assert plot.force.getData()[0] is None or not len(plot.force.getData()[0])
     plot.close_canvas()
 

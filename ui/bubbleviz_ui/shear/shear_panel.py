@@ -14,7 +14,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.diagnostics import Measure, ShearEllipse, ShearNumbers
+from bubbleviz.diagnostics import Measure, ShearNumbers
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
@@ -48,14 +48,15 @@ class ShearPlot(PlotHost):
         self.arrange([self._plot.item])
         return [self._plot]
 
-    def draw(self, ellipse: ShearEllipse | None, unit: Unit) -> None:
-        """Draw a force in a unit; None: no force."""
+    def draw(self, numbers: ShearNumbers, unit: Unit) -> None:
+        """Draw the tangential force in a unit, if there is one."""
         if not self.ready:
             return
         self._plot.write(f"Across normal, {unit.symbol}")
+        across = numbers.across_n
         for item, points in (
-            (self.force, None if ellipse is None else np.vstack([np.zeros(2), ellipse.force_n])),
-            (self.outline, None if ellipse is None else ellipse.outline_n),
+            (self.force, None if across is None else np.vstack([np.zeros(2), across])),
+            (self.outline, numbers.outline_n),
         ):
             item.setData(unit.from_si(1.0) * (np.empty((0, 2)) if points is None else points))
 
@@ -96,7 +97,7 @@ def shear_texts(result: Result | None, units: Units, *, final: bool = True) -> d
     traction = None if result is None else result.traction
     if result is None or traction is None:
         return dict.fromkeys(("state", *NUMBERS), DASH)
-    numbers = ShearNumbers.of(traction, result.slip)
+    numbers = ShearNumbers.of(result)
     known = math.isfinite(numbers.direction_deg[0])
     reason = f": {traction.reason}" if traction.reason else ""
     measures: dict[str, tuple[Measure, Unit]] = {
@@ -186,10 +187,10 @@ class ShearPanel(QWidget):
         self.state.setText(words["state"])
         for name, label in self.values.items():
             label.setText(words[name])
-        traction = None if result is None else result.traction
-        self.copy.setEnabled(traction is not None and final)
-        ellipse = None if traction is None else ShearEllipse.of(traction)
-        self.plot.draw(ellipse, self._state.units.force)
+        known = result is not None and result.traction is not None
+        self.copy.setEnabled(known and final)
+        numbers = ShearNumbers() if result is None else ShearNumbers.of(result)
+        self.plot.draw(numbers, self._state.units.force)
 
     def _copy(self) -> None:
         result = self._controller.result

@@ -392,9 +392,10 @@ class TractionLayer(Layer):
         self._set_drawn(known)
         if traction is None or shape is None or not known:
             return
-        touched = np.flatnonzero(traction.nodal_force_n.any(axis=1))
+        touched = np.flatnonzero(traction.normal_pa.any(axis=1))
         scale = LONGEST * self.canvas.surface.height_m / picture.ranges.pressure_pa
-        normal, along = (scale * part[touched] for part in traction.parts_pa)
+        parts = traction.normal_pa, traction.tangential_pa
+        normal, along = (scale * part[touched] for part in parts)
         nodes, normals = shape.nodes_m[touched], shape.normals[touched]
         self._normal.draw(_arrows(nodes - normal, normal, np.roll(normals, 1, axis=1)))
         self._along.draw(_arrows(nodes, along, normals))
