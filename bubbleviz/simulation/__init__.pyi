@@ -47,8 +47,8 @@ from .rubber_truth import (
 from .synthetic_source import (
     NODE_RATIO as NODE_RATIO,
     HasTruth as HasTruth,
+    LoopedSource as LoopedSource,
     Model as Model,
-    NoisyLoop as NoisyLoop,
     SyntheticSource as SyntheticSource,
     Truth as Truth,
     default_path as default_path,

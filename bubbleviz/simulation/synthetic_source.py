@@ -341,16 +341,20 @@ def ease(t: np.ndarray, start: float, end: float) -> np.ndarray:
     return s * s * (3.0 - 2.0 * s)
 
 
-class NoisyLoop:
-    """Adds noise to the frames of a short looped source; reading backwards starts a new round."""
+class LoopedSource:
+    """Frames of a short looped simulation, each simulated once; only the noise of loops differs.
+
+    Reading backwards starts a new round.
+    """
 
     def __init__(
         self,
-        source: FrameSource,  # without noise
+        source: FrameSource,
         camera: DepthCamera,
-        noise: DepthNoise,
+        noise: DepthNoise | None = None,  # of each loop; None: that of the source, in all of them
     ) -> None:
         self._source, self._camera, self._noise = source, camera, noise
+        self._frames: dict[int, Frame] = {}
         self._round, self._last = 0, 0
         self.name, self.times_s = source.name, source.times_s
 
@@ -360,9 +364,13 @@ class NoisyLoop:
 
     def __getitem__(self, index: int) -> Frame:
         """Frame number `index` of the present loop."""
-        frame = self._source[index]
+        if index not in self._frames:
+            self._frames[index] = self._source[index]
+        frame = self._frames[index]
         self._round += index < self._last
         self._last = index
+        if self._noise is None:
+            return frame
         ranges = self._camera.range_image(frame.depth_m).astype(float)
         depth = self._noise.depth_image(self._camera, ranges, self._round, index)
         return replace(frame, depth_m=depth)

@@ -12,10 +12,9 @@ from shiboken6 import isValid
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
 from window_driver import Driver
 
-from bubbleviz.simulation import default_press
+from bubbleviz.simulation import LoopedSource, default_press
 from bubbleviz_ui.engine import sensor_client
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.source import CachedSource
 from bubbleviz_ui.main_window import MainWindow
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell import theme
@@ -34,7 +33,8 @@ def sensor():
 @pytest.fixture(scope="session")
 def press(sensor):
     """The window's own synthetic press on a small sensor."""
-    return CachedSource(default_press(sensor))
+    simulated = default_press(sensor)
+    return LoopedSource(simulated, simulated.camera)
 
 
 @pytest.fixture(scope="session")

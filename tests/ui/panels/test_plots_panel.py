@@ -15,8 +15,7 @@ from window_driver import CONTACT, LEFT, clipboard_text, graphics_view, hover, p
 
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
-from bubbleviz.simulation import SyntheticSource, default_press
-from bubbleviz_ui.engine.source import CachedSource
+from bubbleviz.simulation import LoopedSource, SyntheticSource, default_press
 from bubbleviz_ui.model.frame_history import decimated
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text
 from bubbleviz_ui.panels.plot_host import Plot
@@ -87,7 +86,8 @@ def test_all_frames_are_analysed_in_the_background_and_missing_ones_break_curves
     drive, sensor, press
 ):
     whole = default_press(sensor)
-    fewer = CachedSource(SyntheticSource(sensor, whole.obj, whole.poses[::10], whole.noise))
+    some = SyntheticSource(sensor, whole.obj, whole.poses[::10], whole.noise)
+    fewer = LoopedSource(some, some.camera)
     driver = drive(lambda _: fewer)
     panel, history = opened(driver, "force", "area"), driver.state.history
     driver.click(panel.analyse)

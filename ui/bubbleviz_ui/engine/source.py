@@ -22,7 +22,7 @@ from bubbleviz.recordings import (
     open_recording,
 )
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import NoisyLoop, RecordingWithTruth, Truth, truth_of, with_truth_file
+from bubbleviz.simulation import LoopedSource, RecordingWithTruth, with_truth_file
 from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.model.source_facts import NOTHING_OPEN
 
@@ -108,39 +108,13 @@ def _synthetic(sensor: Sensor) -> FrameSource:
     nodes = LIVE_NODE_RATIO * sensor.membrane.nodes
     press = default_press(sensor, nodes=nodes, noise=DepthNoise())
     noise = DepthNoise(relative=sensor.camera.noise_relative)
-    return NoisyLoop(CachedSource(press), press.camera, noise)
+    return LoopedSource(press, press.camera, noise)
 
 
 def _at_rest(sensor: Sensor) -> FrameSource:
     """Source while none is open: one depth image without returns."""
     depth_m = np.full((sensor.camera.height, sensor.camera.width), np.nan, np.float32)
     return HeldFrames([Frame(0, 0.0, depth_m)], NOTHING_OPEN)
-
-
-class CachedSource:
-    """Caches the frames of a short simulated source, so that a loop computes them once."""
-
-    def __init__(self, source: FrameSource) -> None:
-        self._source = source
-        self._frames: dict[int, Frame] = {}
-        self.name = source.name
-        self.times_s = source.times_s
-
-    def __len__(self) -> int:
-        return len(self._source)
-
-    def __getitem__(self, index: int) -> Frame:
-        if index not in self._frames:
-            self._frames[index] = self._source[index]
-        return self._frames[index]
-
-    def truth(self, index: int) -> Truth | None:
-        """Ground truth of a frame, or None."""
-        return truth_of(self._source, index)
-
-    def close(self) -> None:
-        """Close the source."""
-        self._source.close()
 
 
 SYNTHETIC = Source("synthetic press", _synthetic, live=True, name="synthetic:")

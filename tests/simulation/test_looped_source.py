@@ -5,7 +5,7 @@ import pytest
 
 from bubbleviz.camera import DepthCamera, Intrinsics
 from bubbleviz.recordings import Frame, HeldFrames
-from bubbleviz.simulation import DepthNoise, NoisyLoop
+from bubbleviz.simulation import DepthNoise, LoopedSource
 
 SIGMA = 1e-3
 
@@ -14,7 +14,7 @@ SIGMA = 1e-3
 def rounds():
     camera = DepthCamera(Intrinsics(50, 40, 40.0, 40.0, 25.0, 20.0), np.eye(4))
     flat = [Frame(k, k / 30.0, np.full((40, 50), 0.1 + 0.01 * k, np.float32)) for k in range(3)]
-    return NoisyLoop(HeldFrames(flat), camera, DepthNoise(absolute_m=SIGMA))
+    return LoopedSource(HeldFrames(flat), camera, DepthNoise(absolute_m=SIGMA))
 
 
 def test_noise_matches_the_camera_and_differs_in_every_loop(rounds):
