@@ -43,8 +43,6 @@ class RecordSummary(Summary):
     frames: int  # complete frames among the messages
     duration_s: float  # from the first message to the end
     size_bytes: int
-    most_waiting_bytes: int  # largest backlog of the disk
-    stalls: int  # number of waits of the source for the disk
     counters: dict[str, Any]  # of problems with messages, which are recorded nevertheless
 
     def to_text(self) -> str:
@@ -120,8 +118,6 @@ def record(
         frames=counters.frames,
         duration_s=now - (first or now),
         size_bytes=status.size_bytes,
-        most_waiting_bytes=status.most_waiting_bytes,
-        stalls=status.stalls,
         counters=asdict(counters),
     )
 

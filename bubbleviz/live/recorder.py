@@ -37,10 +37,7 @@ STATIC_BYTES = 1 << 20  # of static poses, the latest ones: some 10,000 links
 class RecorderStatus:
     path: Path
     messages: int  # messages written
-    # waiting_bytes, most_waiting_bytes: messages that wait for the disk, now and at most so far
-    waiting_bytes: int
-    most_waiting_bytes: int
-    stalls: int  # how often a source had to wait because the disk is too slow
+    waiting_bytes: int  # of messages that wait for the disk
     size_bytes: int  # of the part of the file that survives a crash
     problem: str  # text: why recording ended early; else empty
 
@@ -155,7 +152,6 @@ class _Session:
         self._queue: deque[Message] = deque()
         self._static = static
         self._bytes = sum(len(message.payload) for message in static)
-        self._most = self._stalls = 0
         self._ending = False
         self._problem = ""
         self._changed = threading.Condition()
@@ -164,14 +160,11 @@ class _Session:
 
     def put(self, message: Message) -> None:
         with self._changed:
-            if self._bytes > QUEUE_BYTES and not self._problem:
-                self._stalls += 1
-                self._changed.wait_for(lambda: self._bytes <= QUEUE_BYTES or bool(self._problem))
+            self._changed.wait_for(lambda: self._bytes <= QUEUE_BYTES or bool(self._problem))
             if self._problem:
                 return
             self._queue.append(message)
             self._bytes += len(message.payload)
-            self._most = max(self._most, self._bytes)
             self._changed.notify_all()
 
     def finish(self) -> None:
@@ -184,8 +177,7 @@ class _Session:
         with self._changed:
             file = self._file
             count, synced = (0, 0) if file is None else (file.count, file.synced_bytes)
-            queue = self._bytes, self._most, self._stalls
-            return RecorderStatus(self._path, count, *queue, synced, self._problem)
+            return RecorderStatus(self._path, count, self._bytes, synced, self._problem)
 
     def _run(self) -> None:
         try:
