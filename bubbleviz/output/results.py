@@ -269,8 +269,7 @@ class ResultWriter:
         *,
         shear: bool = False,  # whether the results have traction
     ) -> None:
-        self._mesh, self._frames, self._shape = mesh, frames, shape
-        self._count = 0
+        self._mesh, self._frames = mesh, frames
         self._fields = {k: n for k, n in NODAL_FIELDS.items() if shear or k not in _OF_SHEAR}
         self._stack = ExitStack()
         with ExitStack() as opening:
@@ -296,9 +295,6 @@ class ResultWriter:
         _, patch = result.solution
         if patch.pixel_mask is None:
             raise ValueError("the result lacks the product pixel_mask")
-        if patch.pixel_mask.shape != self._shape or self._count == self._frames:
-            raise ValueError("internal error: wrong mask size, or more frames than announced")
-        self._count += 1
         self._masks.write(np.ascontiguousarray(patch.pixel_mask).tobytes())
         fields = nodal_fields(result, self._mesh)
         for spool, name in zip(self._spools, self._fields, strict=True):
@@ -306,10 +302,6 @@ class ResultWriter:
 
     def finish(self, rows: Sequence[dict[str, Any]], **provenance: str) -> None:
         """Write the remaining arrays: nodal fields, rows of the frames, and provenance texts."""
-        if self._count != self._frames:
-            raise ValueError(
-                f"internal error: {self._count} frames added, {self._frames} announced"
-            )
         self._masks.close()
         nodal = (self._frames, len(self._mesh.nodes))
         for (name, more), spool in zip(self._fields.items(), self._spools, strict=True):

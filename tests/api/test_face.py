@@ -350,13 +350,6 @@ def test_the_real_press_is_saved_and_loaded(punyo_press, tmp_path):
     assert got[-1].contact_pressure_pa.max() > 1000.0 and got[-1].pixel_mask.any()
 
 
-def test_one_frame_and_a_list_of_frames(frames, sensor):
-    found = bv.estimate(frames[2], sensor)
-    both = bv.estimate([frames[2], frames[3]], sensor)
-    np.testing.assert_array_equal(found.force_n, both[0].force_n)
-    assert found.status == "ok" and len(both) == 2
-
-
 def test_simulated_frames_are_estimated_and_saved(sensor, tmp_path):
     pose = parse_pose("0.005 0 0.042 0 0 0 1")
     press = bv.simulate(sensor, "cylinder", pose, frames=2, noise_relative=0.002)

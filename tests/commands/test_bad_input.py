@@ -384,15 +384,6 @@ def test_the_same_name_for_both_outputs(bench):
     bench.refused((*COMMANDS["estimate"][:-1], "OUT"), "two names")
 
 
-@pytest.mark.parametrize(
-    ("option", "value", "words"),
-    [("--kappa", "nan", "--kappa nan"), ("--kappa", "-1", "-1"), ("--solver", "zz", "linear")],
-)
-def test_bad_options(bench, option, value, words):
-    record(bench, GOOD)
-    bench.refused((*COMMANDS["estimate"], option, value), words)
-
-
 def test_picture_of_another_kind(bench):
     record(bench, GOOD)
     words = ("open", "REC", "--sensor", "SENSOR", "--screenshot", bench.folder / "a.jpg")
