@@ -101,7 +101,8 @@ def test_other_bag_formats_give_the_same_recording(kind, tmp_path):
     path = fill(BagMaker(kind)).write(tmp_path)
     out = tmp_path / "out.mcap"
     found = json.loads(converted(path, out, "--json"))
-    assert found["frames"] == 6 and found["gas_pressure_pa"] and found["wrench"]
+    assert found["path"] == str(out) and found["frames"] == 6
+    assert found["gas_pressure_pa"] and found["wrench"]
     with Recording(path) as before, Recording(out) as after:
         assert after.times_s == pytest.approx(before.times_s)
         for a, b in zip(before, after, strict=False):
