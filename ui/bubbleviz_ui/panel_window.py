@@ -212,7 +212,12 @@ class PanelWindow(QMainWindow):
         self._part_tabs()
 
     def event(self, event: QEvent) -> bool:
-        """Fit docks whose contents changed; keep heights that were dragged."""
+        """Fit docks whose contents changed; keep heights that were dragged.
+
+        The view has what waits for its picture painted, so that both show the same frame.
+        """
+        if event.type() == QEvent.Type.UpdateRequest and self.view.redraw_due:
+            return True
         done = super().event(event)
         if event.type() == QEvent.Type.LayoutRequest and self.isVisible():
             self._fit()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, Signal
+from PySide6.QtCore import QCoreApplication, QEvent, QObject, QPointF, Qt, Signal
 from PySide6.QtGui import (
     QDragEnterEvent,
     QDropEvent,
@@ -179,6 +179,11 @@ class View(QtInteractor):  # type: ignore[misc]
         """Request a redraw; calls before it is drawn are merged."""
         self._due.request()
 
+    @property
+    def redraw_due(self) -> bool:
+        """Whether a redraw was requested and is not done yet: the window's paint waits for it."""
+        return self._due.isActive()
+
     def follow_theme(self, paint: Callable[[theme.Colours], object]) -> None:
         """Call `paint` with the theme's colours, now and after each change of theme."""
         paint(theme.of(self))
@@ -234,7 +239,8 @@ class View(QtInteractor):  # type: ignore[misc]
             return
         start = time.perf_counter()
         self._newer_than_qt = False
-        self._due.stop()  # what was to be redrawn is drawn now
+        if self.redraw_due:
+            self._leave_to_qt()  # what was to be redrawn is drawn now
         super().paintGL()
         self.busy_s += time.perf_counter() - start
 
@@ -249,6 +255,7 @@ class View(QtInteractor):  # type: ignore[misc]
         exposed = native and own is not None and own.isExposed()
         if not (exposed and self.context() is not None and window.GetReadyForRendering()):
             self.update()
+            self._leave_to_qt()
             return
         start = time.perf_counter()
         self.makeCurrent()
@@ -260,11 +267,19 @@ class View(QtInteractor):  # type: ignore[misc]
         window.Render()
         state.Pop()
         self._in_paint = False
+        self.busy_s += time.perf_counter() - start
+        QCoreApplication.sendEvent(self.window(), QEvent(QEvent.Type.UpdateRequest))
+        start = time.perf_counter()
         self._swap()
         self._newer_than_qt = True
         self.doneCurrent()
         self.busy_s += time.perf_counter() - start
         self._on_screen()
+
+    def _leave_to_qt(self) -> None:
+        """Let Qt paint the window, which had waited for a redraw that is not due any more."""
+        self._due.stop()
+        QCoreApplication.postEvent(self.window(), QEvent(QEvent.Type.UpdateRequest))
 
     def _swap(self) -> None:
         """Copy VTK's picture to the native window."""
@@ -336,6 +351,7 @@ class View(QtInteractor):  # type: ignore[misc]
         self._resizing = False
         self.resized.emit()
         self.update()
+        self._leave_to_qt()
 
     _resizing = False
 
