@@ -93,12 +93,14 @@ class Driver:
         )
 
     def wait_until_shown(self):
-        """Wait until the frame at the cursor is shown, cold-solved and painted."""
+        """Wait until the frame at the cursor is shown as requested, cold-solved and painted."""
         controller = self.window.controller
         self.wait(self.shows_cursor_frame)
         if not controller.cold_solved:
             controller.cold_solve()
         self.wait(lambda: self.shows_cursor_frame() and controller.cold_solved)
+        # the frame shown may be that of an earlier request, whose answer is drawn later
+        self.wait(lambda: self.state.playing or not controller.worker.busy)
         self.wait_for_redraw()
 
     def wait_until_solved_ahead(self):

@@ -40,6 +40,7 @@ def test_failed_and_ended_connections_give_messages(open_bench, tmp_path):
     slowly = f"replay:{path}?speed=0.2"  # slow machines skip some frames, not the last
     control.connect_to(single(slowly, name))
     live.wait(lambda: "ended" in live.window.live.state.text())
+    live.wait(lambda: live.state.facts.frames > 1)  # a slow machine solves the last one after that
     live.state.seek(1)
     live.wait(lambda: live.shown_frame == 1)
     layers = live.state.settings.layers | {"wireframe", "cloud"}

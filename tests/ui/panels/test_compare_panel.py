@@ -95,7 +95,7 @@ def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive
         patch.setattr("bubbleviz_ui.engine.controller.COLD_SOLVE_DELAY_MS", 1e6)
         dock.show()
         for frame in (7, 8, 9):
-            driver.seek(frame)
+            driver.pass_by([frame])
             driver.wait_for_redraw()
             assert text(driver, "status") == "solving …"
     dock.hide()
