@@ -267,14 +267,13 @@ class View(QtInteractor):  # type: ignore[misc]
         window.Render()
         state.Pop()
         self._in_paint = False
-        self.busy_s += time.perf_counter() - start
-        QCoreApplication.sendEvent(self.window(), QEvent(QEvent.Type.UpdateRequest))
-        start = time.perf_counter()
         self._swap()
         self._newer_than_qt = True
         self.doneCurrent()
         self.busy_s += time.perf_counter() - start
         self._on_screen()
+        # at once: another result may be waiting
+        QCoreApplication.sendEvent(self.window(), QEvent(QEvent.Type.UpdateRequest))
 
     def _leave_to_qt(self) -> None:
         """Let Qt paint the window, which had waited for a redraw that is not due any more."""
