@@ -75,7 +75,6 @@ from .rubber_forward import (
     checked_friction as checked_friction,
 )
 from .sparse_factor import (
-    BlockFactoriser as BlockFactoriser,
     Factor as Factor,
     Factoriser as Factoriser,
     NodeBlocks as NodeBlocks,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.linalg import lu_factor, lu_solve
 from scipy.sparse.linalg import SuperLU, splu
 
 # Sparse factorisation of symmetric matrices.
@@ -98,12 +96,18 @@ class Factoriser:
         return Factor(symmetric_lu(matrix, "NATURAL"), self._rows)
 
 
-class LinearSolver(ABC):
-    """A factorised matrix K."""
+class Factor:
+    """A sparse factorised matrix, whose unknowns are the `rows` of vectors in their order."""
 
-    @abstractmethod
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """K⁻¹ b for one (3f,) or several (3f, k) right sides."""
+    def __init__(self, lu: SuperLU, rows: np.ndarray) -> None:
+        self._lu, self._rows = lu, rows
+
+    def solve(self, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
+        """K⁻¹ b, or K⁻ᵀ b, for one (3f,) or several (3f, k) right sides."""
+        out = np.zeros_like(right)
+        solve = partial(self._lu.solve, trans="T") if transposed else self._lu.solve
+        out[self._rows] = solve(right.take(self._rows, axis=0))
+        return out
 
     def solve_with(
         self, right: np.ndarray, vector: np.ndarray, weight: float, across: np.ndarray | None = None
@@ -118,89 +122,9 @@ class LinearSolver(ABC):
         share = weight * (across @ plain) / (1.0 + weight * (across @ by_vector))
         return (plain - np.outer(by_vector, share)).reshape(right.shape)
 
-
-class Factor(LinearSolver):
-    """A sparse factorised matrix, whose unknowns are the `rows` of vectors in their order."""
-
-    def __init__(self, lu: SuperLU, rows: np.ndarray) -> None:
-        self._lu, self._rows = lu, rows
-
-    def solve(self, right: np.ndarray, *, transposed: bool = False) -> np.ndarray:
-        """K⁻¹ b, or K⁻ᵀ b, for one (3f,) or several (3f, k) right sides."""
-        out = np.zeros_like(right)
-        solve = partial(self._lu.solve, trans="T") if transposed else self._lu.solve
-        out[self._rows] = solve(right.take(self._rows, axis=0))
-        return out
-
     def negative_directions(self) -> int:
         """Number of negative eigenvalues of a symmetric K, by Sylvester's law of inertia."""
         return int(np.count_nonzero(self._lu.U.diagonal() < 0.0))
-
-
-class BlockFactoriser:
-    """Factorises matrices of which only the values in a block of rows change.
-
-    The other rows are eliminated once; a factorisation then is a dense one of the block.
-
-    Parameters
-    ----------
-    matrix : (n, n) sparse array
-        Symmetric, in CSC with sorted indices, with 3×3 blocks. Outside the block its values are
-        kept.
-    block : (n,) bool array
-        Rows of the block.
-    """
-
-    def __init__(self, matrix: sparse.csc_array, block: np.ndarray) -> None:
-        self.block, self.rest = np.flatnonzero(block), np.flatnonzero(~block)
-        rest = matrix[self.rest]
-        coupling, interior = rest[:, self.block].tocsc(), rest[:, self.rest].tocsc()
-        self.edge = np.flatnonzero(np.diff(coupling.indptr))  # rows of the block beside the rest
-        self.coupling = coupling[:, self.edge].toarray()
-        self.back = self.coupling
-        if len(self.rest):
-            interior.sort_indices()
-            self.interior = Factoriser(interior).factor(interior.data)
-            self.back = self.interior.solve(self.coupling)
-        self._eliminated = self.coupling.T @ self.back
-        self._number = number = np.full(len(block), -1)
-        number[self.block] = np.arange(len(self.block))
-        row, column = number[matrix.indices], np.repeat(number, np.diff(matrix.indptr))
-        self._entries = np.flatnonzero((row >= 0) & (column >= 0))
-        self._places = column[self._entries] * (len(self.block) + 1) + row[self._entries]
-
-    def factor(self, data: np.ndarray, rows: np.ndarray, added: np.ndarray) -> BlockFactor:
-        """Factorise the matrix with these data (nnz,), of which those in the block are used.
-
-        Matrices `added` (c, q, q), symmetric or not, are added at rows (c, q) of the block; those
-        at −1 are left out.
-        """
-        size = len(self.block)
-        number = np.where(rows < 0, size, self._number[rows])
-        flat = np.zeros((size + 1) ** 2)
-        flat[self._places] = data[self._entries]
-        places = number[:, None] * (size + 1) + number[:, :, None]
-        flat += np.bincount(places.ravel(), added.ravel(), minlength=len(flat))
-        dense = flat.reshape(size + 1, size + 1)[:size, :size].T
-        dense[np.ix_(self.edge, self.edge)] -= self._eliminated
-        return BlockFactor(self, dense)
-
-
-class BlockFactor(LinearSolver):
-    """A matrix factorised by a `BlockFactoriser`."""
-
-    def __init__(self, own: BlockFactoriser, dense: np.ndarray) -> None:
-        self._own, self._lu = own, lu_factor(dense, check_finite=False)
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """K⁻¹ b for one (3f,) or several (3f, k) right sides."""
-        own, out, load = self._own, np.zeros_like(right), right[self._own.block]
-        if len(own.rest):
-            out[own.rest] = alone = own.interior.solve(right[own.rest])
-            load[own.edge] -= own.coupling.T @ alone
-        out[own.block] = found = lu_solve(self._lu, load, check_finite=False)
-        out[own.rest] -= own.back @ found[own.edge]
-        return out
 
 
 class FrictionConstraint(NamedTuple):

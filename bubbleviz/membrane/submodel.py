@@ -5,9 +5,6 @@ With K and g = ∂V/∂x of the rest at the reference surface, its border b and 
     S = K_bb − K_bf K_ff⁻¹ K_fb,   ĝ = g_b − K_bf K_ff⁻¹ g_f,   c = g_fᵀ K_ff⁻¹ g_f
 
 are its stiffness, and its volume change by motion of the border and by gas pressure.
-
-Newton's method updates the tangent around the loads only, where it changes from step to step. That
-of the other nodes is kept until the loads move there; their residual is exact.
 """
 
 from __future__ import annotations
@@ -20,17 +17,13 @@ from scipy import sparse
 from bubbleviz.membrane.gas import Gas, HeldPressure
 from bubbleviz.membrane.meshing import part_of, refinement
 from bubbleviz.membrane.rubber import RubberMembrane
-from bubbleviz.membrane.sparse_factor import BlockFactoriser, LinearSolver, condensed
-
-_KEPT = 0.25
-"""Motion of a node, in edges of the mesh, up to which its tangent is kept: triangles turn by some
-10°, so that steps still converge, and derivatives of the object's motions are off by 0.5 %."""
+from bubbleviz.membrane.sparse_factor import Factor, Factoriser, condensed
 
 
 class Tangent(NamedTuple):
     """Factorised tangent at a shape."""
 
-    factor: LinearSolver
+    factor: Factor
     gas: np.ndarray  # (3f,), volume change by motion of the moving nodes, m²
     stiffness: float  # −dp/dV of the gas, Pa/m³
     moving: np.ndarray  # (f,) int
@@ -70,8 +63,6 @@ class Submodel:
         self.mesh, self.ends = finer.mesh, nodes[finer.ends]
         self._inner = whole.on(self.mesh, inside[finer.parent])
         self._moving, self._gauge_pa = self._inner.moving, whole.gauge_pressure_pa
-        self._rows = np.full((len(self.mesh.nodes), 3), -1)
-        self._rows[self._moving] = np.arange(3 * len(self._moving)).reshape(-1, 3)
         self._rest_volume = self._inner.volume(self.mesh.nodes)
         self._border = np.zeros(0, int)
         self._stiffness, self._gradient, self._compliance = np.zeros((0, 0)), np.zeros(0), 0.0
@@ -100,7 +91,7 @@ class Submodel:
         self._compliance = -float(rest[0, 0])
 
     def _merge(self) -> None:
-        """Joint sparsity pattern of the tangent inside and the dense S."""
+        """Joint sparsity pattern of the tangent inside and the dense S, and places in it."""
         own = self._inner.tangent(self.mesh.nodes, 0.0)
         size = own.shape[0]
         columns = np.repeat(np.arange(size), np.diff(own.indptr))
@@ -111,9 +102,14 @@ class Submodel:
         columns, rows = np.divmod(keys, size)
         starts = np.searchsorted(columns, np.arange(size + 1))
         pattern = sparse.csc_array((np.ones(len(keys)), rows, starts), shape=(size, size))
-        self._pattern = pattern
-        self._near = np.zeros(len(self.mesh.nodes), bool)
-        self._kept_at = np.full_like(self.mesh.nodes, np.inf)
+        self._factoriser, self._entries = Factoriser(pattern), len(keys)
+        row = np.full((len(self.mesh.nodes), 3), -1)
+        row[self._moving] = np.arange(size).reshape(-1, 3)
+        of_triangle = row[self.mesh.triangles].reshape(-1, 9)
+        pairs = of_triangle[:, None] * size + of_triangle[:, :, None]
+        free = (of_triangle[:, None] >= 0) & (of_triangle[:, :, None] >= 0)
+        found = np.where(free, np.searchsorted(keys, pairs), len(keys))
+        self._triangle_places = found.reshape(-1, 81)  # of rows by columns; last where clamped
 
     def covers(self, center: np.ndarray, reach_m: float) -> bool:
         """Whether the part contains all within a distance of a point."""
@@ -124,7 +120,7 @@ class Submodel:
         # x, forces: (k, 3), nodes, m, and forces on them, N
         x: np.ndarray,
         forces: np.ndarray,
-        # (c, 3) int, (c, 9, 9): corners of loaded triangles, and stiffness of what loads them
+        # (c,) int, (c, 9, 9): loaded triangles, and stiffness, symmetric or not, of what loads them
         loaded: np.ndarray,
         added: np.ndarray,
         gas: Gas | HeldPressure,
@@ -138,34 +134,14 @@ class Submodel:
         rest = np.zeros(3 * len(self._moving))
         rest[self._border] = self._stiffness @ border - change * self._gradient
         residual[self._moving] -= rest.reshape(-1, 3)
-        data = np.zeros(self._pattern.nnz)
-        data[self._inner_places] = inner.tangent(x, self._gauge_pa + change).data
+        places = self._triangle_places[loaded].ravel()
+        data = np.zeros(self._entries)
+        data += np.bincount(places, added.ravel(), minlength=self._entries + 1)[:-1]
+        data[self._inner_places] += inner.tangent(x, self._gauge_pa + change).data
         data[self._outer_places] += self._stiffness.T.ravel()
         gradient = inner.volume_gradient(x)[self._moving].ravel()
         gradient[self._border] += self._gradient
-        factor = self._around(loaded, x, data).factor(
-            data, self._rows[loaded].reshape(-1, 9), added
-        )
-        return Tangent(factor, gradient, weight, self._moving), residual
-
-    def _around(self, loaded: np.ndarray, x: np.ndarray, data: np.ndarray) -> BlockFactoriser:
-        """Factoriser of the block of the loaded triangles and those beside them.
-
-        A new one, with the tangent of the other nodes as it is now, where loads have left the block
-        or other nodes have moved far.
-        """
-        moved_m = np.abs(x - self._kept_at)[~self._near].max(initial=0.0)
-        if not (moved_m < _KEPT * self.mesh.edge_length and self._near[loaded].all()):
-            triangles, at = self.mesh.triangles, np.zeros(len(x), bool)
-            at[loaded] = True
-            self._near = np.zeros(len(x), bool)
-            self._near[triangles[at[triangles].any(axis=1)]] = True
-            self._kept_at = x
-            matrix = sparse.csc_array(
-                (data, self._pattern.indices, self._pattern.indptr), self._pattern.shape
-            )
-            self._factoriser = BlockFactoriser(matrix, np.repeat(self._near[self._moving], 3))
-        return self._factoriser
+        return Tangent(self._factoriser.factor(data), gradient, weight, self._moving), residual
 
 
 def _rows(nodes: np.ndarray) -> np.ndarray:

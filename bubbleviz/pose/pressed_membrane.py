@@ -340,7 +340,7 @@ class PressedMembrane:
             forces = touching.push(len(x)) + loads.friction_n
             try:
                 tangent, missed = part.linearised(
-                    x, forces, touching.corners, touching.stiffness(), gas
+                    x, forces, touching.triangle, touching.stiffness(), gas
                 )
             except RuntimeError:  # singular
                 return None

@@ -9,10 +9,16 @@ from bubbleviz.membrane import Gas, HeldPressure, Submodel
 PLACE = np.array([0.01, 0.0, H])
 
 
-def full_model_motion(membrane, gas, forces):
-    """Motions of all nodes under small nodal forces, by the full tangent with gas."""
-    rest = membrane.mesh.nodes
-    K = membrane.tangent(rest, GAUGE).toarray()
+def full_model_motion(membrane, gas, forces, loaded, added):
+    """Motions of all nodes under small nodal forces, by the full tangent with gas.
+
+    `added` (c, 9, 9) is the stiffness of triangles with nodes `loaded` (c, 3).
+    """
+    rest, row = membrane.mesh.nodes, 3 * np.arange(len(membrane.mesh.nodes))[:, None] + np.arange(3)
+    whole, own = np.zeros((rest.size, rest.size)), row[membrane.moving].ravel()
+    for nodes, stiffness in zip(loaded, added, strict=True):
+        whole[np.ix_(row[nodes].ravel(), row[nodes].ravel())] += stiffness
+    K = membrane.tangent(rest, GAUGE).toarray() + whole[np.ix_(own, own)]
     g = membrane.volume_gradient(rest)[membrane.moving].ravel()
     K += gas.at(0.0)[1] * np.outer(g, g)
     motion = np.zeros_like(rest)
@@ -30,12 +36,13 @@ def test_submodel_responds_to_small_forces_like_the_full_model(reach_m, held):
     nodes = part.ends[:, 0]
     inside = np.linalg.norm(part.mesh.nodes - PLACE, axis=1) < 0.2 * A
     forces = np.where(inside[:, None], [1e-4, 2e-4, -1e-3], 0.0)
-    loaded = part.mesh.triangles[inside[part.mesh.triangles].any(axis=1)]
-    nothing = np.zeros((len(loaded), 9, 9))
-    tangent, missed = part.linearised(part.mesh.nodes, forces, loaded, nothing, gas)
+    loaded = np.flatnonzero(inside[part.mesh.triangles].any(axis=1))
+    added = np.random.default_rng(1).uniform(-10.0, 30.0, (len(loaded), 9, 9))  # not symmetric
+    tangent, missed = part.linearised(part.mesh.nodes, forces, loaded, added, gas)
     everywhere = np.zeros_like(membrane.mesh.nodes)
     everywhere[nodes] = np.where(part.mesh.rim[:, None], 0.0, forces)
-    exact = full_model_motion(membrane, gas, everywhere)[nodes]
+    corners = nodes[part.mesh.triangles[loaded]]
+    exact = full_model_motion(membrane, gas, everywhere, corners, added)[nodes]
     assert inside.sum() > 5
     np.testing.assert_allclose(tangent.moved(missed[None])[0], exact, atol=1e-9 * H)
 
@@ -48,9 +55,8 @@ def test_refined_submodel_moves_like_the_coarse_one():
         own = np.flatnonzero(part.ends[:, 0] == part.ends[:, 1])
         areas = part.mesh.areas * (np.linalg.norm(part.mesh.nodes - PLACE, axis=1) < 0.2 * A)
         forces = -100.0 * areas[:, None] * part.mesh.normals
-        triangles = part.mesh.triangles
-        nothing = np.zeros((len(triangles), 9, 9))
-        tangent, missed = part.linearised(part.mesh.nodes, forces, triangles, nothing, gas)
+        none, nothing = np.zeros(0, int), np.zeros((0, 9, 9))
+        tangent, missed = part.linearised(part.mesh.nodes, forces, none, nothing, gas)
         whole = np.full(membrane.mesh.nodes.shape, np.nan)
         whole[part.ends[own, 0]] = tangent.moved(missed[None])[0][own]
         motions.append(whole)
