@@ -3,6 +3,8 @@ from .dual_stage import (
     touching_directions as touching_directions,
 )
 from .image_fit import (
+    ROUNDING_M as ROUNDING_M,
+    TRUST as TRUST,
     ImageFit as ImageFit,
 )
 from .motion import (
@@ -17,13 +19,10 @@ from .motion import (
 from .object_patch import (
     ObjectPatchFinder as ObjectPatchFinder,
 )
-from .pose_options import (
-    ImageOptions as ImageOptions,
-    PressOptions as PressOptions,
-)
 from .pressed_membrane import (
     ObjectContact as ObjectContact,
     PressedMembrane as PressedMembrane,
+    PressOptions as PressOptions,
     contact_samples as contact_samples,
 )
 from .registration import (

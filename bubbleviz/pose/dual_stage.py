@@ -23,7 +23,6 @@ from bubbleviz.pose.motion import (
     turning,
     way_at,
 )
-from bubbleviz.pose.pose_options import ImageOptions
 from bubbleviz.pose.pressed_membrane import PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Fit, Registration, directions
 from bubbleviz.recordings import Frame
@@ -33,6 +32,15 @@ _PREDICTION_ERROR_M, _START_ERROR_M = 2e-3, 5e-3  # possible error of a predicti
 _TRACKING_ITERATIONS, _FIRST_ITERATIONS, _SEARCH_ITERATIONS = 1, 12, 6
 """Iterations of each stage while tracking, where the fit to the depth image follows; from an
 initial pose; and to compare initial poses."""
+_STEP_M = 1.5e-3
+"""Longest step of the patch's edge, and its motion from a frame's first linear model, that of the
+last frame: the membrane around an edge is curved over a few mm, and derivatives are valid over half
+of that."""
+_VALID_M, _CONVERGED_M = 1e-3, 2e-4
+"""Motion of the patch's edge from that of a linear model up to which it is reused from frame to
+frame, and the first pose of an object has converged. At two thirds of the longest step the error of
+the derivatives is less than half."""
+_NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 
 
@@ -83,14 +91,14 @@ class Solver:
         membrane: RubberMembrane,  # that the object presses into
     ) -> None:
         self._registration, self._estimator = registration, estimator
-        self._membrane, self._options = membrane, ImageOptions()
+        self._membrane = membrane
 
     @cached_property
     def _image(self) -> ImageFit:
         """Fit to the depth image; built with the first pose."""
-        own, options, model = self._estimator, self._options, self._registration.model
-        pressed = PressedMembrane(self._membrane, own.bubble.gas, model, options.press)
-        return ImageFit(own.observer, pressed, options, self._registration.precision)
+        own = self._estimator
+        pressed = PressedMembrane(self._membrane, own.bubble.gas, self._registration.model)
+        return ImageFit(own.observer, pressed, self._registration.precision)
 
     def reset(self) -> None:
         """Drop the earlier pose."""
@@ -146,34 +154,30 @@ class Solver:
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
     ) -> tuple[Motion, np.ndarray] | None:
         """Motion and persistent covariance by the depth image; None if no press is found."""
-        options, directed = self._options, directions(fit.surface, contact.radius_m)
-        center, radius_m = contact.center, contact.radius_m
-        T = fit.T_B_O
+        directed, T = directions(fit.surface, contact.radius_m), fit.T_B_O
         if tracking:  # the depth image, not the blurred patch, determines the other directions
-            way = np.linalg.solve(directed.motions, motion_between(predicted.T_B_O, T, center))
-            T = moved(predicted.T_B_O, directed.motions @ (way * directed.determined), center)
+            way = motion_between(predicted.T_B_O, T, contact.center)
+            way = np.linalg.solve(directed.motions, way) * directed.determined
+            T = moved(predicted.T_B_O, directed.motions @ way, contact.center)
         change = self._estimator.observer.pixel_residuals(frame.steady_depth_m)
-        valid_m = options.valid_m if tracking else options.converged_m
+        valid_m = _VALID_M if tracking else _CONVERGED_M
         self._image.load(contact, frame.gas_pressure_pa)
-        for k in range(options.next_steps if tracking else options.first_steps):
+        for k in range(_NEXT_STEPS if tracking else _FIRST_STEPS):
             from_predicted = motion_between(predicted.T_B_O, T, contact.center)
             center = contact.center + from_predicted[:3]
             step = self._image.step(
                 change, replace(contact, center=center), T, directed,
-                valid_m=valid_m if k or not tracking else options.step_m,
+                valid_m=valid_m if k or not tracking else _STEP_M,
                 gas_pressure_pa=frame.gas_pressure_pa,
             )  # fmt: skip
             if step is None:
                 return None
             A = turning(from_predicted)
             information, gradient = A.T @ step.information @ A, A.T @ step.gradient
-            if tracking:
-                at_predicted = gradient + information @ from_predicted
-                predicted = predicted.widened(at_predicted, information)
             known = predicted.information
             motion = A @ np.linalg.solve(information + known, gradient - known @ from_predicted)
-            way_m = way_at(radius_m, motion)
-            T = moved(T, motion * min(1.0, options.step_m / max(way_m, 1e-300)), center)
+            way_m = way_at(contact.radius_m, motion)
+            T = moved(T, motion * min(1.0, _STEP_M / max(way_m, 1e-300)), center)
             if self._image.covers(T, contact, valid_m):
                 break
         assert step is not None  # there is at least one

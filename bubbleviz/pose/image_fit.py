@@ -12,10 +12,26 @@ import numpy as np
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
-from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, turning, way_at
-from bubbleviz.pose.pose_options import ImageOptions
+from bubbleviz.pose.motion import (
+    START_DEVIATION,
+    START_INFORMATION,
+    about,
+    motion_between,
+    turning,
+    way_at,
+)
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Directions, Precision
+
+_AROUND_M = 8e-3  # around the patch pixels are compared; further away the membrane hardly moves
+_OUTLIER_SIGMAS = 4.0  # residual in standard deviations that reduces a pixel to a quarter
+_MIN_SIGMA_M = 5e-4  # lower bound of the noise, below which model errors dominate
+TRUST = 0.3
+"""Weight of the pixels' information: the error of the model's facets persists until the object's
+edge has moved to others, with twice the variance of the noise averaged over that time."""
+ROUNDING_M = 1e-3
+"""Radius of edges, which are modelled sharp: objects are rounded there, and the membrane has a
+thickness."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +85,10 @@ class ImageFit:
         self,
         observer: RangeObserver,
         pressed: PressedMembrane,  # of that object, on the observer's mesh
-        options: ImageOptions,
         precision: Precision,  # of the membrane's position
+        max_pixels: int = 6_000,  # beyond, as many groups of neighbours are averaged
     ) -> None:
-        self._observer, self._pressed, self._options = observer, pressed, options
+        self._observer, self._pressed, self._max_pixels = observer, pressed, max_pixels
         self._precision = precision
         camera = observer.camera
         self._directions = camera.directions[observer.pixel]
@@ -110,9 +126,9 @@ class ImageFit:
         """One Gauss–Newton step; None if the model finds no equilibrium.
 
         Membrane on a face is at the object's surface; the membrane around it also depends on
-        stiffness and gas. Its model error is marginalised: deviations as from a motion in the
-        directions that the contact determines. So the faces determine these directions, and the
-        surrounding membrane the others.
+        stiffness and gas. Its model error is marginalised: deviations as from an unknown motion in
+        the directions that the contact determines. So the faces determine these directions, and
+        the surrounding membrane the others.
         """
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
@@ -127,11 +143,11 @@ class ImageFit:
         off[predicted.on_face[valid]] = 0.0
         off = np.column_stack([off, predicted.rounding[valid]])
         J = np.hstack([J, off])
-        weight = count[valid] * self._options.trust * self._weights(residual)
+        weight = TRUST * count[valid] * _weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
-        known_off = np.full(off.shape[1], self._options.model_deviation_m)
-        known_off[-1] = self._options.rounding_m
+        known_off = np.full(off.shape[1], START_DEVIATION[0])
+        known_off[-1] = ROUNDING_M
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
@@ -139,15 +155,6 @@ class ImageFit:
         persistent = np.linalg.inv(information + START_INFORMATION)
         persistent *= per_m4 / self._precision.of_model
         return ImageStep(information, g, persistent)
-
-    def _weights(self, residual_m: np.ndarray) -> np.ndarray:
-        """1/σ² of pixels from their residuals (b,), smaller for outliers."""
-        if not len(residual_m):
-            return residual_m
-        spread = float(np.median(np.abs(residual_m))) / MAD
-        sigma = max(spread, self._options.min_sigma_m)
-        outlying = (residual_m / (self._options.outlier_sigmas * sigma)) ** 2
-        return 1.0 / (sigma * (1.0 + outlying)) ** 2
 
     def predicted(
         self,
@@ -161,8 +168,6 @@ class ImageFit:
 
         None if the press fails, or has just failed nearby.
         """
-        if self._predicted is None:  # after a failed press
-            valid_m = min(valid_m, self._options.valid_m)
         if self.covers(T_B_O, contact, valid_m):
             return self._predicted
         press = self._pressed.press(T_B_O, contact, gas_pressure_pa)
@@ -183,8 +188,8 @@ class ImageFit:
         """The membrane and its derivatives in the camera image."""
         mesh = press.part.mesh
         away = np.linalg.norm(self._places - contact.rest_center, axis=1)
-        close = np.flatnonzero(away < contact.extent_m + self._options.around_m)
-        each = max(1, -(-len(close) // self._options.max_pixels))
+        close = np.flatnonzero(away < contact.extent_m + _AROUND_M)
+        each = max(1, -(-len(close) // self._max_pixels))
         pixel = close[: len(close) // each * each].reshape(-1, each)
         rays = self._directions[pixel].sum(axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
@@ -205,3 +210,11 @@ class ImageFit:
             area_m2=float(np.linalg.norm(vectors, axis=1).sum()),
             press=press,
         )
+
+
+def _weights(residual_m: np.ndarray) -> np.ndarray:
+    """1/σ² of pixels from their residuals (b,), smaller for outliers."""
+    if not len(residual_m):
+        return residual_m
+    sigma = max(float(np.median(np.abs(residual_m))) / MAD, _MIN_SIGMA_M)
+    return 1.0 / (sigma * (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma)) ** 2)) ** 2

@@ -73,7 +73,6 @@ latter of a robot's wrist. With less the estimate lags behind an object that tur
 chosen among 0.2, 3 and 10 on a frustum and a nut that turn by ±12° at 0.7 Hz; a bridge and two
 spheres that turn by ±8° at 1.1 Hz were not used for it, and their ellipsoids hold, too."""
 
-_MIN_RATIO = 1e-6  # information of a frame relative to the prediction's, below which it has none
 _MAX_COAST_S = 0.5  # longest time to coast: motion is not known further ahead
 
 
@@ -121,19 +120,6 @@ class Motion:
         motion = dt * self.velocity
         T, center = moved(self.T_B_O, motion, self.center), self.center + motion[:3]
         return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, center)._turned(motion)
-
-    def widened(self, gradient: np.ndarray, information: np.ndarray) -> Motion:
-        """With its covariance P multiplied by the most likely factor of at least 1.
-
-        A frame's information H (6, 6) comes with a gradient (6,) at this pose, whose expected
-        covariance is H + H P H. If it is larger, the object accelerates more than assumed.
-        """
-        root = np.linalg.cholesky(self.covariance[:6, :6])
-        ratio, basis = np.linalg.eigh(root.T @ information @ root)
-        informed = ratio > _MIN_RATIO
-        surprise = (basis.T @ root.T @ gradient)[informed] ** 2 / (ratio + ratio**2)[informed]
-        factor = max(1.0, float(surprise.mean())) if informed.any() else 1.0
-        return replace(self, covariance=factor * self.covariance)
 
     def corrected(self, T_B_O: np.ndarray, information: np.ndarray) -> Motion:
         """Update by a frame whose information (6, 6) moved the pose estimate to `T_B_O`.

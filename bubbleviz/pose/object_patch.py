@@ -14,8 +14,7 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.inverse import area_above, touching_share
 from bubbleviz.membrane import ObjectSurface, level_line
-from bubbleviz.pose.pose_options import PressOptions
-from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
+from bubbleviz.pose.pressed_membrane import Press, PressedMembrane, PressOptions
 from bubbleviz.pose.registration import contact_points, object_distance
 from bubbleviz.result import Estimate, ObjectPatch, Patch, Pose
 from bubbleviz.sensor_model import SensorModel

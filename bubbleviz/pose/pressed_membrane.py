@@ -30,8 +30,24 @@ from bubbleviz.membrane import (
     midway,
 )
 from bubbleviz.pose.motion import motion_between, rows
-from bubbleviz.pose.pose_options import PressOptions
 from bubbleviz.pose.registration import ContactPoints, directions, spins
+
+
+@dataclass(frozen=True)
+class PressOptions:
+    """How finely an object is pressed into the membrane."""
+
+    # distance of the object's points in edges of the mesh: several share a triangle, and edges, on
+    # which they are twice as dense, pass from one triangle to the next without a jump
+    spacing_edges: float = 0.5
+    # distance around the patch in which the mesh is twice as fine; 0: nowhere
+    finer_m: float = 0.0
+    # Newton step that counts as converged: one of 0.5 mm leaves its square over the size of a
+    # triangle, less than 0.1 mm
+    converged_m: float = 5e-4
+    # limit for one pose; from the estimated membrane some four are needed
+    max_steps: int = 10
+
 
 # Contact of an object with the membrane: points of the object against triangles of the membrane.
 #
@@ -39,6 +55,16 @@ from bubbleviz.pose.registration import ContactPoints, directions, spins
 # anywhere on a triangle, and the contact depends smoothly on the pose.
 
 
+_SOFTNESS_M = 2e-5
+"""Penetration of a face under twice the gauge pressure, and of an edge under the mean tension: far
+below depth noise, yet not stiffer than the membrane's own triangles, so that Newton's method
+converges without a line search."""
+_MAX_DEPTH_M = 6e-3  # inside the membrane, beyond which a point is on the far side of the object
+_MAX_COSINE = -0.5
+"""Cosine between the direction in which a point pushes and the membrane's normal, below which it is
+in contact. Beyond 60° the closest membrane is beside the point: that of a wall in the air above the
+membrane would count as inside it, by rounding."""
+_MAX_STEP_M = 3e-3  # of Newton's method: the size of a triangle, beyond which the contact changes
 _TRIES = 30
 _MAX_TRIES = 200_000  # random points for each one that is kept, and in total
 _SHARPEST = 0.1
@@ -125,16 +151,14 @@ class ObjectContact:
         # pressure_pa, tension_n_per_m: loads under which faces and edges penetrate by the softness
         pressure_pa: float,
         tension_n_per_m: float,
-        options: PressOptions,
     ) -> None:
-        self._options = options
         self._points, self._normals = contact_samples(model, spacing_m)
         self._edge = np.any(self._normals[:, 0] != self._normals[:, 1], axis=1)
         both = self._normals.sum(axis=1)
         one_and_cosine = 0.5 * np.einsum("ij,ij->i", both, both)
         self._core = both / np.maximum(one_and_cosine, _SHARPEST)[:, None]
         face, edge = pressure_pa * spacing_m**2, tension_n_per_m * 0.5 * spacing_m
-        self._stiffness = np.where(self._edge, edge, face) / options.softness_m
+        self._stiffness = np.where(self._edge, edge, face) / _SOFTNESS_M
         self.reset()
 
     def reset(self) -> None:
@@ -153,7 +177,7 @@ class ObjectContact:
         """
         way = np.einsum("ca,cai->ci", touching.weights, motion[touching.corners])
         force_n = touching.force_n - np.einsum("caj,cj->c", touching.slopes_n_per_m, way)
-        short = np.abs(motion).max() < 0.5 * self._options.max_step_m
+        short = np.abs(motion).max() < 0.5 * _MAX_STEP_M
         self._active[:], self._expected_n[:] = False, 0.0
         self._active[touching.which] = force_n > 0.0
         self._expected_n[touching.which] = np.maximum(force_n, 0.0) * short
@@ -163,7 +187,7 @@ class ObjectContact:
         R = T_B_O[:3, :3]
         places = x[triangles]
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
-        points, margin = self._points @ R.T + T_B_O[:3, 3], self._options.max_depth_m
+        points, margin = self._points @ R.T + T_B_O[:3, 3], _MAX_DEPTH_M
         low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
         close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
         if not len(close):
@@ -176,11 +200,11 @@ class ObjectContact:
         normals = self._normals[close] @ R.T
         edge, pushing = self._edge[close], normals[:, 0].copy()
         pushing[edge] = _limited_to_cone(normals[edge], -smooth[edge])
-        facing = np.einsum("cj,cj->c", smooth, pushing) < self._options.max_cosine
+        facing = np.einsum("cj,cj->c", smooth, pushing) < _MAX_COSINE
         way = np.einsum("ci,cij->cj", weights, x[corners]) - points[close]
         depth, length = -np.einsum("ij,ij->i", way, pushing), np.linalg.norm(way, axis=1)
         touched = (depth > 0.0) | self._active[close]
-        inside = np.flatnonzero(touched & facing & (length < self._options.max_depth_m))
+        inside = np.flatnonzero(touched & facing & (length < _MAX_DEPTH_M))
         kept, corners, pushing = close[inside], corners[inside], pushing[inside]
         force_n, weights = self._stiffness[kept] * depth[inside], weights[inside]
         sinking = self._stiffness[kept, None] * pushing
@@ -266,11 +290,21 @@ class Press:
         return self.tangent.moved(forces[None])[0]
 
 
+_REACH_M = 8e-3
+"""Distance around the patch in which the membrane is solved exactly. Further away it turns by a few
+degrees, and linear equations have errors of 0.01 to 0.04 mm."""
+_MARGIN_M = 8e-3  # added, so that the contact may move that far before another part is solved
+
+
 class PressedMembrane:
     """Presses one object into a membrane at successive poses."""
 
     def __init__(
-        self, membrane: RubberMembrane, gas: Gas, model: ObjectSurface, options: PressOptions
+        self,
+        membrane: RubberMembrane,
+        gas: Gas,
+        model: ObjectSurface,
+        options: PressOptions = PressOptions(),
     ) -> None:
         self.mesh = membrane.mesh
         self._membrane, self._gas, self._options = membrane, gas, options
@@ -279,7 +313,6 @@ class PressedMembrane:
             options.spacing_edges * self.mesh.edge_length,
             2.0 * membrane.gauge_pressure_pa,
             membrane.mean_tension,
-            options,
         )
         self._part: Submodel | None = None
         self.reset()
@@ -312,13 +345,11 @@ class PressedMembrane:
 
     def _around(self, contact: ContactPoints) -> Submodel:
         """Part of the membrane around the contact; replaced when the contact leaves it."""
-        options, extent_m = self._options, contact.extent_m
-        if self._part is None or not self._part.covers(
-            contact.rest_center, extent_m + options.reach_m
-        ):
-            finer_m = extent_m + options.finer_m + options.margin_m if options.finer_m else 0.0
-            reach_m = extent_m + options.reach_m + options.margin_m
-            self._part = Submodel(self._membrane, contact.rest_center, reach_m, finer_m)
+        middle, extent_m, finer_m = contact.rest_center, contact.extent_m, self._options.finer_m
+        if self._part is None or not self._part.covers(middle, extent_m + _REACH_M):
+            finer_m += (extent_m + _MARGIN_M) * (finer_m > 0.0)
+            reach_m = extent_m + _REACH_M + _MARGIN_M
+            self._part = Submodel(self._membrane, middle, reach_m, finer_m)
             self.reset()
         return self._part
 
@@ -354,7 +385,7 @@ class PressedMembrane:
     def _limited(self, step: np.ndarray) -> np.ndarray:
         """A step (k, 3) of the nodes, shortened to the longest one allowed."""
         longest_m = float(np.abs(step).max())
-        return step * min(1.0, self._options.max_step_m / max(longest_m, 1e-300))
+        return step * min(1.0, _MAX_STEP_M / max(longest_m, 1e-300))
 
 
 _SLIDING = np.sin(np.radians(1.0))

@@ -14,7 +14,6 @@ from bubbleviz.pose import (
     MIN_RADIUS_M,
     Directions,
     ImageFit,
-    ImageOptions,
     Precision,
     PressedMembrane,
     about,
@@ -233,9 +232,9 @@ class _Bench:
         if result.estimate is None or result.patch is None:
             return true
         contact = contact_points(self._pipeline.mesh, result.estimate, result.patch)
-        own, options = self._pipeline.model, ImageOptions()
-        pressed = PressedMembrane(own.rubber, own.gas, self._model, options.press)
-        fit = ImageFit(self._pipeline.estimator.observer, pressed, options, self._precision)
+        own = self._pipeline.model
+        pressed = PressedMembrane(own.rubber, own.gas, self._model)
+        fit = ImageFit(self._pipeline.estimator.observer, pressed, self._precision)
         image = None if contact is None else fit.predicted(true.T_B_O, contact)
         if image is None:
             return true

@@ -1,7 +1,5 @@
 """The motion filter against exact motion."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -125,19 +123,3 @@ def test_motions_up_to_half_a_turn_are_recovered():
         expected = expm(np.cross(np.eye(3), vector))
         np.testing.assert_allclose(turned[:3, :3], expected, atol=1e-13)
         np.testing.assert_allclose(motion_between(np.eye(4), turned, still)[3:], vector, atol=1e-8)
-
-
-def test_contradicting_frame_widens_the_prediction():
-    """Deviations as large as both covariances keep it; k times as large ones multiply it by k².
-
-    So they do where the frame knows only three directions, as of a ball.
-    """
-    start = Motion.at_rest(np.eye(4), START_DEVIATION, np.zeros(3))
-    P = start.covariance[:6, :6]
-    frame = np.linalg.inv(0.01 * P)  # much better known than the prediction
-    for known, (k, factor) in product(
-        (np.ones(6), np.repeat([1.0, 0.0], 3)), ((0.1, 1.0), (5.0, 25.0 / 1.01))
-    ):
-        information, off = frame * known, k * START_DEVIATION
-        found = start.widened(information @ off, information)
-        np.testing.assert_allclose(found.covariance, factor * start.covariance, rtol=1e-9)

@@ -8,9 +8,10 @@ import pytest
 from bubbleviz.membrane import ObjectSurface, RubberForward, Submodel
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import (
+    ROUNDING_M,
+    TRUST,
     Directions,
     ImageFit,
-    ImageOptions,
     ObjectContact,
     PressedMembrane,
     PressOptions,
@@ -159,8 +160,7 @@ def test_rounded_edges_release_the_membrane(pipeline, rubber, contact):
 @pytest.mark.parametrize("radius_m", [5e-4, 2e-3])
 def test_edges_move_onto_the_rounded_object(pipeline, rubber, contact, radius_m):
     press = pressed(pipeline, rubber, "cylinder").press(pose(), contact)
-    options = PressOptions()
-    sharp = ObjectContact(ObjectSurface(study_object("cylinder")), 1e-3, 1e3, 50.0, options)
+    sharp = ObjectContact(ObjectSurface(study_object("cylinder")), 1e-3, 1e3, 50.0)
     touching = sharp.touching(press.nodes, press.part.mesh.triangles, pose())
     assert touching.edge.sum() > 20
     points, normals = touching.points[touching.edge], touching.normals[touching.edge]
@@ -200,7 +200,7 @@ def test_only_points_at_the_membrane_are_in_contact(pipeline, rubber, contact, n
     there = pose(x=0.006, z=0.0385, turn=0.4)
     press, model = pressed(pipeline, rubber, name).press(there, contact), study_object(name)
     nodes, triangles = press.nodes, press.part.mesh.triangles
-    every = ObjectContact(ObjectSurface(model), 1e-3, 1e3, 50.0, PressOptions())
+    every = ObjectContact(ObjectSurface(model), 1e-3, 1e3, 50.0)
     points = every.touching(nodes, triangles, there).points
     scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(nodes.astype("f4"), triangles.astype("u4"))
@@ -278,7 +278,7 @@ def ranges(pipeline, pixels, nodes, triangles):
 
 def image_fit(pipeline, membrane):
     estimator = pipeline.estimator
-    return ImageFit(estimator.observer, membrane, ImageOptions(), precision_of(estimator))
+    return ImageFit(estimator.observer, membrane, precision_of(estimator))
 
 
 @pytest.fixture(scope="module")
@@ -309,17 +309,17 @@ def test_image_of_the_press_equals_the_range_change(pipeline, rubber, contact, i
 def test_step_is_weighted_least_squares_with_image_noise(contact, image):
     """Pixels at occluding edges are excluded."""
     fit, found = image
-    options, rng, sigma = ImageOptions(), np.random.default_rng(0), 1e-3
+    rng, sigma = np.random.default_rng(0), 1e-3
     way = np.array([2e-4, -1e-4, 1e-4, 3e-3, 2e-3, -4e-3])
     noise, pixel = sigma * rng.standard_normal(len(found.pixel)), found.pixel[:, 0]
     change = np.full(int(pixel.max()) + 1, np.nan)
     change[pixel] = found.expected_m + found.jacobian @ way + noise
     every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
     step = fit.step(change, contact, pose(), every, valid_m=1e-3)
-    weight = options.trust / (sigma * (1.0 + (noise / (4.0 * sigma)) ** 2)) ** 2
+    weight = TRUST / (sigma * (1.0 + (noise / (4.0 * sigma)) ** 2)) ** 2
     J = np.column_stack([found.jacobian, found.rounding])
     H = (J.T * weight) @ J
-    H[6, 6] += 1.0 / options.rounding_m**2
+    H[6, 6] += 1.0 / ROUNDING_M**2
     expected = H[:6, :6] - np.outer(H[:6, 6], H[6, :6]) / H[6, 6]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(step.information / scale, expected / scale, atol=0.05)
@@ -327,7 +327,7 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
         contact.center - found.press.center
     )  # `way` is about the image's centre, a step the patch's
     here = np.concatenate([way[:3] + np.cross(way[3:], lever), way[3:]])
-    change[pixel] += options.rounding_m * found.rounding
+    change[pixel] += ROUNDING_M * found.rounding
     further_back = fit.step(change, contact, pose(), every, valid_m=1e-3)
     for each in (step, further_back):
         off = np.linalg.pinv(each.information, hermitian=True) @ each.gradient - here  # no spin
@@ -337,9 +337,9 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
 def test_noise_of_many_pixels_averages_out(pipeline, rubber, contact, image):
     """A sixth of the groups, each of six pixels, determines the pose as well as all pixels."""
     every, (_, alone) = Directions(np.eye(6), np.ones(6), np.zeros(6, bool)), image
-    options = ImageOptions(max_pixels=len(alone.pixel) // 6 + 1)
     observer, membrane = pipeline.estimator.observer, pressed(pipeline, rubber, "cylinder")
-    fit = ImageFit(observer, membrane, options, precision_of(pipeline.estimator))
+    precision, few = precision_of(pipeline.estimator), len(alone.pixel) // 6 + 1
+    fit = ImageFit(observer, membrane, precision, max_pixels=few)
     change = np.full(len(observer.pixel), np.nan)
     change[alone.pixel[:, 0]] = alone.expected_m
     change += 1e-3 * np.random.default_rng(0).standard_normal(len(change))
