@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -26,7 +27,7 @@ from bubbleviz.pose.motion import (
 from bubbleviz.pose.pressed_membrane import PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Fit, Registration, directions
 from bubbleviz.recordings import Frame
-from bubbleviz.result import Pose, Stage
+from bubbleviz.result import Pose
 
 _PREDICTION_ERROR_M, _START_ERROR_M = 2e-3, 5e-3  # possible error of a prediction; of a first pose
 _TRACKING_ITERATIONS, _FIRST_ITERATIONS, _SEARCH_ITERATIONS = 1, 12, 6
@@ -44,41 +45,12 @@ _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, a
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 
 
-@dataclass(frozen=True)
-class Solution:
+class Solution(NamedTuple):
     """A pose of one frame."""
 
-    # first, pose: stage one and stage two
-    first: Fit
-    pose: Fit
-    ms: tuple[float, float]  # wall time of the stages
+    pose: Pose
+    fit: Fit  # of stage two
     motion: Motion  # pose and velocity after this frame
-    # (6, 6), covariance of the pose by model errors, which are correlated from frame to frame
-    persistent: np.ndarray
-
-    def as_pose(self, contact: ContactPoints) -> Pose:
-        """Convert to the public result."""
-        found = directions(self.pose.surface, contact.radius_m)
-        on, count = self.pose.distance, len(contact.points)
-        here = about(self.motion.center, contact.center)
-        return Pose(
-            status="ok",
-            T_B_O=self.pose.T_B_O,
-            stage_one=_stage(self.first, self.ms[0]),
-            stage_two=_stage(self.pose, self.ms[1]),
-            center_m=contact.center,
-            covariance=here @ (self.motion.covariance[:6, :6] + self.persistent) @ here.T,
-            motions=found.motions,
-            deviation_m=found.deviation_m,
-            determined=found.determined,
-            points_m=contact.points,
-            places_m=on.place[:count],
-            distance_m=on.signed_m[:count],
-        )
-
-
-def _stage(fit: Fit, ms: float) -> Stage:
-    return Stage(fit.T_B_O, fit.fitness, fit.rmse_m, fit.correspondences, fit.history, ms)
 
 
 class Solver:
@@ -119,15 +91,30 @@ class Solver:
         )
         between = time.perf_counter()
         fit = self._registration.stage_two(contact, first, predicted, iterations=iterations)
-        found = self._image_fit(frame, contact, fit, predicted, tracking)
-        if found is None:
+        by_image = self._image_fit(frame, contact, fit, predicted, tracking)
+        if by_image is None:
             motion = predicted.corrected(fit.T_B_O, fit.surface)
             persistent = np.linalg.inv(fit.surface + START_INFORMATION)
         else:
-            motion, persistent = found
+            motion, persistent = by_image
             fit = self._registration.at(contact, fit, motion.T_B_O)
-        times = (1e3 * (between - began), 1e3 * (time.perf_counter() - between))
-        return Solution(first, fit, times, motion, persistent)
+        found, count = directions(fit.surface, contact.radius_m), len(contact.points)
+        here = about(motion.center, contact.center)
+        pose = Pose(
+            status="ok",
+            T_B_O=fit.T_B_O,
+            stage_one=replace(first, ms=1e3 * (between - began)),
+            stage_two=replace(fit, ms=1e3 * (time.perf_counter() - between)),
+            center_m=contact.center,
+            covariance=here @ (motion.covariance[:6, :6] + persistent) @ here.T,
+            motions=found.motions,
+            deviation_m=found.deviation_m,
+            determined=found.determined,
+            points_m=contact.points,
+            places_m=fit.distance.place[:count],
+            distance_m=fit.distance.signed_m[:count],
+        )
+        return Solution(pose, fit, motion)
 
     def best(
         self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
@@ -147,8 +134,8 @@ class Solver:
             )
             for fit in sorted(coarse, key=lambda fit: fit.cost)[:finalists]
         ]
-        good = [solution for solution in found if solution.pose.fitness >= _FOUND_FITNESS]
-        return min(good, key=lambda solution: solution.pose.cost, default=None)
+        good = [solution for solution in found if solution.fit.fitness >= _FOUND_FITNESS]
+        return min(good, key=lambda solution: solution.fit.cost, default=None)
 
     def _image_fit(
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool

@@ -14,7 +14,6 @@ its load along, so that sliding of a flat face in its own plane is observable.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -252,18 +251,6 @@ def _sum_at_nodes(corners: np.ndarray, shares: np.ndarray, count: int) -> np.nda
     return np.stack(sums, axis=1)
 
 
-class _Loads(NamedTuple):
-    """Of a part of the membrane, beside the object's."""
-
-    friction_n: np.ndarray  # (k, 3), of the estimate, on each node
-    gas_pa: float  # measured absolute pressure; NaN: by the gas law
-
-    @classmethod
-    def of(cls, part: Submodel, contact: ContactPoints, gas_pressure_pa: float | None) -> _Loads:
-        friction_n = midway(contact.friction_pa, part.ends) * part.mesh.areas[:, None]
-        return cls(friction_n, np.nan if gas_pressure_pa is None else gas_pressure_pa)
-
-
 @dataclass(frozen=True)
 class Press:
     """An object pressed into the membrane."""
@@ -279,12 +266,13 @@ class Press:
     push_n: np.ndarray  # (k, 3), force of the object on each node
     on_face: np.ndarray  # (m,) bool, triangles that touch faces of the object, and no edge
     tangent: Tangent
-    loads: _Loads
+    friction_n: np.ndarray  # (k, 3), of the estimate, on each node
+    gas_pa: float  # measured absolute pressure; not finite: by the gas law
 
     def motion_by(self, contact: ContactPoints, gas_pressure_pa: float | None) -> np.ndarray:
         """Motion (k, 3) of the nodes by the change of friction and measured gas pressure since."""
-        now, before = _Loads.of(self.part, contact, gas_pressure_pa), self.loads
-        forces, change_pa = now.friction_n - before.friction_n, now.gas_pa - before.gas_pa
+        forces = _friction(self.part, contact) - self.friction_n
+        change_pa = _known(gas_pressure_pa) - self.gas_pa
         if np.isfinite(change_pa):
             forces[self.tangent.moving] += change_pa * self.tangent.gas.reshape(-1, 3)
         return self.tangent.moved(forces[None])[0]
@@ -329,18 +317,17 @@ class PressedMembrane:
         gas_pressure_pa: float | None = None,  # absolute; default: by the gas law
     ) -> Press | None:
         """Press the object at a pose (4, 4); None if no equilibrium is found."""
-        part = self._around(contact)
-        loads = _Loads.of(part, contact, gas_pressure_pa)
+        part, gas_pa = self._around(contact), _known(gas_pressure_pa)
         if self._last is not None:
             motion = motion_between(self._last.T_B_O, T_B_O, self._last.center)
             step = self._limited(np.einsum("q,qni->ni", motion, self._last.slopes))
             start = self._last.nodes + step
-            self._last = self._solve(part, start, T_B_O, contact, loads)
+            self._last = self._solve(part, start, T_B_O, contact, gas_pa)
         if self._last is None:
             self._object.reset()
             estimated = midway(contact.membrane, part.ends)
             start = np.where(part.mesh.rim[:, None], part.mesh.nodes, estimated)
-            self._last = self._solve(part, start, T_B_O, contact, loads)
+            self._last = self._solve(part, start, T_B_O, contact, gas_pa)
         return self._last
 
     def _around(self, contact: ContactPoints) -> Submodel:
@@ -359,16 +346,16 @@ class PressedMembrane:
         x: np.ndarray,
         T_B_O: np.ndarray,
         contact: ContactPoints,
-        loads: _Loads,
+        gas_pa: float,
     ) -> Press | None:
         """Newton's method from nodes x (k, 3)."""
-        measured = np.isfinite(loads.gas_pa)
-        gas = HeldPressure(loads.gas_pa - self._gas.P0) if measured else self._gas
+        measured, friction_n = np.isfinite(gas_pa), _friction(part, contact)
+        gas = HeldPressure(gas_pa - self._gas.P0) if measured else self._gas
         for _ in range(self._options.max_steps):
             if not np.isfinite(x).all():
                 return None
             touching = self._object.touching(x, part.mesh.triangles, T_B_O)
-            forces = touching.push(len(x)) + loads.friction_n
+            forces = touching.push(len(x)) + friction_n
             try:
                 tangent, missed = part.linearised(
                     x, forces, touching.triangle, touching.stiffness(), gas
@@ -379,13 +366,23 @@ class PressedMembrane:
             self._object.expect(touching, step)
             x = x + step
             if np.abs(step).max() < self._options.converged_m:
-                return _pressed(part, x, T_B_O, contact, touching, tangent, loads)
+                return _pressed(part, x, T_B_O, contact, touching, tangent, friction_n, gas_pa)
         return None
 
     def _limited(self, step: np.ndarray) -> np.ndarray:
         """A step (k, 3) of the nodes, shortened to the longest one allowed."""
         longest_m = float(np.abs(step).max())
         return step * min(1.0, _MAX_STEP_M / max(longest_m, 1e-300))
+
+
+def _friction(part: Submodel, contact: ContactPoints) -> np.ndarray:
+    """Forces (k, 3) of the estimate's friction on the nodes of a part."""
+    friction_n: np.ndarray = midway(contact.friction_pa, part.ends) * part.mesh.areas[:, None]
+    return friction_n
+
+
+def _known(gas_pressure_pa: float | None) -> float:
+    return np.nan if gas_pressure_pa is None else gas_pressure_pa
 
 
 _SLIDING = np.sin(np.radians(1.0))
@@ -400,7 +397,8 @@ def _pressed(
     contact: ContactPoints,
     touching: Touching,
     tangent: Tangent,
-    loads: _Loads,
+    friction_n: np.ndarray,
+    gas_pa: float,
 ) -> Press:
     n, center, triangles = len(x), contact.center, part.mesh.triangles
     unit, arms = np.eye(3), touching.points - center
@@ -430,5 +428,6 @@ def _pressed(
         push_n=touching.push(n),
         on_face=on_face,
         tangent=tangent,
-        loads=loads,
+        friction_n=friction_n,
+        gas_pa=gas_pa,
     )

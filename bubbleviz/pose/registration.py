@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
 from bubbleviz.pose.motion import Motion, motion_between, moved, rows, way_at
-from bubbleviz.result import Estimate, Patch
+from bubbleviz.result import Estimate, Patch, Stage
 
 # Points of the estimated membrane on and around the contact.
 
@@ -208,19 +208,14 @@ class Precision:
         return 1.0 / (self.resolution_m * _EDGE_DEVIATION_M) ** 2
 
 
-@dataclass(frozen=True)
-class Fit:
-    """A pose and how well it fits."""
+@dataclass(frozen=True, kw_only=True)
+class Fit(Stage):
+    """A pose and how well it fits; inliers are within `INLIER_M` of the object."""
 
-    T_B_O: np.ndarray  # (4, 4)
-    fitness: float  # share of the patch within `INLIER_M` of the object, 0 to 1
-    rmse_m: float  # root mean square distance of that share; NaN where there is none
-    correspondences: int  # number of contact points in that share
     cost: float  # robust misfit in units of the noise, squared; lower is better
     # (6, 6), information of the contact normals about small motions in B about the patch's centre
     surface: np.ndarray
     distance: ObjectDistance  # of the contact points, then of the free ones
-    history: np.ndarray  # (i, 2), fitness, and rmse in m, at the start and after every iteration
 
 
 @dataclass(frozen=True)
@@ -242,8 +237,7 @@ class _Term:
         return _Term(self.H + other.H, self.g + other.g, self.cost + other.cost)
 
 
-_At = tuple[np.ndarray, ObjectDistance]
-"""A pose (4, 4), and the distances of contact points and free ones from the object there."""
+_At = tuple[np.ndarray, ObjectDistance]  # a pose (4, 4), and the distances of all points there
 
 
 class Registration:
@@ -272,13 +266,11 @@ class Registration:
         contact: ContactPoints,
         first: Fit,  # of stage one
         prior: Motion,
-        *,
-        widest_m: float = 2e-3,
         iterations: int = 12,
     ) -> Fit:
         """Refine with the free membrane around the patch; other parameters as in `stage_one`."""
         share, begun = contact.areas_m2, (first.T_B_O, first.distance)
-        return self._fit(contact, share, begun, prior, widest_m, iterations, around=True)
+        return self._fit(contact, share, begun, prior, 2e-3, iterations, around=True)
 
     def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
         """A fit moved to another pose (4, 4)."""
@@ -333,6 +325,7 @@ class Registration:
             surface=surface.H,
             distance=distance,
             history=np.array([*history, (fitness, rmse)]),
+            ms=0.0,
         )
 
     def _surface(

@@ -56,11 +56,8 @@ class PoseTracker:
         """Reset; start at T_B_O (4, 4), or search if None."""
         self._solver.reset()
         self._start = start
-        self._motion: Motion | None = None
-        self._good: np.ndarray | None = None
-        self._good_s = self._last_s = 0.0
-        self._good_center = np.zeros(3)
-        self._tried = 0
+        self._motion: Motion | None = None  # by the last good pose
+        self._good_s, self._good_center, self._tried = 0.0, np.zeros(3), 0
         self._waiting, self._waiting_at = np.zeros((0, 4, 4)), np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
@@ -75,11 +72,11 @@ class PoseTracker:
         predicted = self._predicted(frame, contact)
         solution = None
         if predicted is not None:
-            tracking = self._tried == 0 and self._good is not None
+            tracking = self._tried == 0 and self._motion is not None
             solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
             if not self._plausible(solution, frame, contact):
                 solution = None
-        if solution is None and (self._good is not None or self._start is None):
+        if solution is None and (self._motion is not None or self._start is None):
             solution = self._searched(frame, contact)
         if solution is None:
             return self._without(frame, "lost")
@@ -91,57 +88,55 @@ class PoseTracker:
             if self._start is None:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
-        gap = frame.time_s - self._last_s
+        gap = frame.time_s - self._good_s
         known = 0.0 <= gap <= _MAX_GAP_S
         if not known:  # jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
 
     def _plausible(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
-        if solution.pose.fitness < _MIN_FITNESS:
+        if solution.fit.fitness < _MIN_FITNESS:
             return False
-        if self._good is None:
+        if self._motion is None:
             return True
-        motion = motion_between(self._good, solution.pose.T_B_O, contact.center)
+        motion = motion_between(self._motion.T_B_O, solution.pose.T_B_O, contact.center)
         way = np.array([np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])])
         slack = 3.0 * START_DEVIATION[[0, 3]]
         return bool(np.all(way < _FASTEST * abs(frame.time_s - self._good_s) + slack))
 
     def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
         """The best of a few initial poses; the next frame tries others."""
-        if self._good is not None and self._tried <= 1:
-            kept = self._good.copy()
-            kept[:3, 3] += contact.center - self._good_center
-            chosen = np.stack([self._good, kept])
+        if self._motion is not None and self._tried <= 1:
+            chosen = np.stack([self._motion.T_B_O] * 2)
+            chosen[1, :3, 3] += contact.center - self._good_center
         else:
             chosen = self._next_starts(contact)
         self._tried += 1
-        finalists = 1 if self._good is not None else _FINALISTS_AT_FIRST
+        finalists = _FINALISTS_AT_FIRST if self._motion is None else 1
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
         """Initial poses not tried yet; more in the first frame."""
         if not len(self._waiting):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
-        first = self._good is None and self._tried == 0
+        first = self._motion is None and self._tried == 0
         count = _STARTS_AT_FIRST if first else _STARTS_PER_FRAME
         chosen, self._waiting = self._waiting[:count].copy(), self._waiting[count:]
         chosen[:, :3, 3] += contact.center - self._waiting_at
         return chosen
 
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
-        self._motion = solution.motion
-        self._good, self._good_s = solution.pose.T_B_O, frame.time_s
-        self._good_center, self._last_s, self._tried = contact.center, frame.time_s, 0
+        self._motion, self._good_s = solution.motion, frame.time_s
+        self._good_center, self._tried = contact.center, 0
         self._waiting = self._waiting[:0]
-        return solution.as_pose(contact)
+        return solution.pose
 
     def _without(self, frame: Frame, why: PoseStatus) -> Pose:
         """Result of a frame without a new pose; the last good one is kept."""
-        if self._good is None:
+        if self._motion is None:
             return Pose(why, np.full((4, 4), np.nan))
         self._tried = max(self._tried, 1)
-        return Pose("lost", self._good)
+        return Pose("lost", self._motion.T_B_O)
 
 
 def precision_of(estimator: Estimator) -> Precision:
