@@ -67,6 +67,7 @@ class DraggedRow(PoseErrors):
     seed: int
     frame: int
     status: str
+    told_m: float = np.inf  # error over the directions that the pose itself calls determined
     # squared Mahalanobis distance of the true pose over its 95 % quantile
     distance2: float = np.inf
 
@@ -179,7 +180,10 @@ class _Bench:
                 if len(axes) == 3:  # a ball, whose centre is determined, all of it
                     off = replace(off, error_m=off.whole_m, error_rad=off.whole_rad)
                 distance2 = _distance2(T, poses[number], pose.covariance, pose.center_m, axes)
-                row = replace(row, **vars(off), distance2=distance2)
+                told = motion_between(T, poses[number], pose.center_m)
+                told = np.linalg.solve(pose.motions, told) * pose.determined
+                told_m = float(np.linalg.norm((pose.motions @ told)[:3]))
+                row = replace(row, **vars(off), told_m=told_m, distance2=distance2)
             found.append(row)
         return found
 
@@ -209,7 +213,7 @@ def _distance2(
     return float(off @ information @ off / chi2(6 - len(axes)).ppf(0.95))
 
 
-_OF: Averages = averages("error_m", "error_rad") | {
+_OF: Averages = averages("error_m", "error_rad", "told_m") | {
     "error_m_worst": ("error_m", np.max),
     "error_rad_worst": ("error_rad", np.max),
     "lost": ("lost", np.sum),
@@ -221,6 +225,7 @@ _COLUMNS = (
     Column("noise mm", "noise_m", ".2f", 1e3),
     Column("mm", "error_m", ".2f", 1e3),
     Column("worst", "error_m_worst", ".2f", 1e3),
+    Column("told mm", "told_m", ".2f", 1e3),
     Column("°", "error_rad", ".1f", _DEGREES),
     Column("worst", "error_rad_worst", ".1f", _DEGREES),
     Column("covered %", "covered", ".0f", 100),
