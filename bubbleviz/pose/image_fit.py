@@ -12,14 +12,7 @@ import numpy as np
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
-from bubbleviz.pose.motion import (
-    START_DEVIATION,
-    START_INFORMATION,
-    about,
-    motion_between,
-    turning,
-    way_at,
-)
+from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, turning, way_at
 from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Directions, Precision
 
@@ -29,6 +22,9 @@ _MIN_SIGMA_M = 5e-4  # lower bound of the noise, below which model errors domina
 TRUST = 0.3
 """Weight of the pixels' information: the error of the model's facets persists until the object's
 edge has moved to others, with twice the variance of the noise averaged over that time."""
+_MODEL_DEVIATION_M = 5e-4
+"""Model error of the membrane around the contact, as motions of the object in the directions that
+the contact determines: stiffness and gas are known no better."""
 ROUNDING_M = 1e-3
 """Radius of edges, which are modelled sharp: objects are rounded there, and the membrane has a
 thickness."""
@@ -126,9 +122,9 @@ class ImageFit:
         """One Gauss–Newton step; None if the model finds no equilibrium.
 
         Membrane on a face is at the object's surface; the membrane around it also depends on
-        stiffness and gas. Its model error is marginalised: deviations as from an unknown motion in
-        the directions that the contact determines. So the faces determine these directions, and
-        the surrounding membrane the others.
+        stiffness and gas. Its model error is marginalised: deviations as from a motion in the
+        directions that the contact determines. So the faces determine these directions, and the
+        surrounding membrane the others.
         """
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:
@@ -146,7 +142,7 @@ class ImageFit:
         weight = TRUST * count[valid] * _weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
-        known_off = np.full(off.shape[1], START_DEVIATION[0])
+        known_off = np.full(off.shape[1], _MODEL_DEVIATION_M)
         known_off[-1] = ROUNDING_M
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
