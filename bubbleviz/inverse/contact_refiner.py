@@ -7,7 +7,7 @@ around them is solved for: shape beyond some rings and gas pressure are fixed to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -188,14 +188,15 @@ class ContactRefiner:
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
         beyond_m = np.sqrt(max(noise**2 - 1.0, 0.0)) * self._mean_sigma_m
-        sigma_m = np.full(part.smooth.shape[1], beyond_m)
+        root = beyond_m * np.eye(part.smooth.shape[1])
         for _ in range(_STEPS):
             view = observer.around(x, view)
             expected = view.model_m + off_m
             observation = observer.weigh(measured, expected)
             error = observation.residual_m[view.block] - expected[view.block]
             weight = observation.weight[view.block] / noise**2
-            smooth = Nuisances.joined([Nuisances.none(len(x))], part.smooth[view.block], sigma_m)
+            smooth = Nuisances.joined([], part.smooth[view.block], len(x))
+            smooth = replace(smooth, root=root)
             ranges = Measurements(view.jacobian, error, weight, smooth)
             if response is None or float(np.abs(x - response.x).max()) > self._reuse_m:
                 response = bubble.linearised(x, pressure, gas)
