@@ -100,7 +100,8 @@ class Driver:
             controller.cold_solve()
         self.wait(lambda: self.shows_cursor_frame() and controller.cold_solved)
         # the frame shown may be that of an earlier request, whose answer is drawn later
-        self.wait(lambda: self.state.playing or not controller.worker.busy)
+        unending = lambda: self.state.playing or controller.analysis.busy  # noqa: E731
+        self.wait(lambda: unending() or not controller.worker.busy)
         self.wait_for_redraw()
 
     def wait_until_solved_ahead(self):
