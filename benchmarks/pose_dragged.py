@@ -67,9 +67,9 @@ class DraggedRow(PoseErrors):
     seed: int
     frame: int
     status: str
-    told_m: float = np.inf  # error over the directions that the pose itself calls determined
     # squared Mahalanobis distance of the true pose over its 95 % quantile
     distance2: float = np.inf
+    told_m: float = np.inf  # error over the directions that the pose itself calls determined
 
     @property
     def lost(self) -> bool:
