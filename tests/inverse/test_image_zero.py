@@ -93,8 +93,8 @@ def test_a_camera_that_moves_during_contact(offset_m):
     moved = [shifted(frame, offset_m * (k >= REST)) for k, frame in enumerate(frames)]
     for found, alone in zip(solved(moved), solved(moved[REST:]), strict=True):
         assert found.status == alone.status
-        # A frame has converged when a step changes its force by no more than a tenth of its σ.
-        assert (np.abs(found.force_n - alone.force_n) <= 0.1 * alone.force_sigma_n).all()
+        # each has converged to a tenth of σ; ways to one frame agree within a quarter
+        assert (np.abs(found.force_n - alone.force_n) <= 0.25 * alone.force_sigma_n).all()
 
 
 @pytest.mark.parametrize("offset_m", [-5e-4, 5e-4])
