@@ -204,8 +204,9 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     and of altitude if that is the standard atmosphere. The same deviation has a gauge pressure in
     the file without one, since it may have been found in that way.
 
-    Where the recorded pressure differs from that of the sensor file, either the weather or the
-    inflation has changed, so the difference, up to the weather's, adds to the file's deviation.
+    Where the recorded pressure differs from that of a file with a local atmospheric pressure, the
+    weather or the inflation has changed, so the difference, up to the weather's, adds to the file's
+    deviation.
     Altitude lowers the atmospheric pressure, so the gauge pressure above the standard atmosphere is
     the least there may be: a higher one in the file is taken.
     """
@@ -231,7 +232,7 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
         air = Quantity.normal(pneumatics.atmospheric_pressure_pa, weather, whose)
     gauge, sigma = recorded - air.value, float(np.hypot(air.sigma, noise))
     if vented is None and file_sigma is not None:
-        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA)
+        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA) * pneumatics.atmosphere_is_local
         gauge, sigma, source = in_file, float(np.hypot(file_sigma, change)), _FILE
     elif vented is not None or pneumatics.atmosphere_is_local:
         if gauge <= 0.0:

@@ -228,6 +228,8 @@ def test_gauge_pressure_at_rest_with_its_uncertainty(rest_samples):
     assert rest_gauge(rest_samples, moved).sigma == pytest.approx(np.hypot(50.0, 700.0), abs=3.0)
     far = sensor_file(gauge_sigma_pa=50.0, atmospheric_pressure_pa=ATMOSPHERE_PA - 9000.0)
     assert rest_gauge(rest_samples, far).sigma == pytest.approx(np.hypot(50.0, WEATHER))
+    higher = replace(rest_samples, gas_pressure_pa=rest_samples.gas_pressure_pa - 6000.0)
+    assert rest_gauge(higher, known).sigma == pytest.approx(50.0, abs=0.2)  # no local atmosphere
     silent = replace(rest_samples, gas_pressure_pa=None)
     unsure = rest_gauge(silent, sensor_file())
     assert unsure.value == GAUGE_PA and unsure.sigma == pytest.approx(np.hypot(WEATHER, 5e3))
