@@ -94,8 +94,8 @@ class Membrane(Section):
     """Relative change of the rubber's stiffness from the middle to the rim along x; absent: 0."""
     stiffness_gradient_y: Gradient | None = None
     stiffness_gradient_r: Gradient | None = None
-    """Relative change from the mean to the rim, all around; from the mean to the middle its
-    opposite; absent: 0."""
+    """Stiffness at the rim over the mean, minus 1, all around; in the middle as much below; absent:
+    0."""
     nodes: int = Field(default=800, ge=30, le=100_000)
 
     @model_validator(mode="after")

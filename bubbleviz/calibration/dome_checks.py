@@ -64,8 +64,8 @@ def _check_no_dent(
 
     Gas pressure alone makes a membrane bulge everywhere. A patch counts as a contact where it lies
     so deep inside the fitted cap, for its width, that the membrane has lost half of its curvature.
-    It is as wide as the deviation from the cap is more than usual: near the border of the view, a
-    smooth deviation of the shape is significant only in a corner of its width.
+    Its width is that of the region where the deviation from the cap exceeds its own spread, not of
+    the part where it is significant: near the border of the view, that can be a small corner.
     """
     ranges, edge_px = samples.statistics.range_m, samples.statistics.correlation_length_px
     points = camera.points_at(ranges, np.arange(ranges.size))

@@ -232,7 +232,8 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
         air = Quantity.normal(pneumatics.atmospheric_pressure_pa, weather, whose)
     gauge, sigma = recorded - air.value, float(np.hypot(air.sigma, noise))
     if vented is None and file_sigma is not None:
-        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA) * pneumatics.atmosphere_is_local
+        local = pneumatics.atmosphere_is_local
+        change = min(abs(gauge - in_file), WEATHER_SIGMA_PA) if local else 0.0
         gauge, sigma, source = in_file, float(np.hypot(file_sigma, change)), _FILE
     elif vented is not None or pneumatics.atmosphere_is_local:
         if gauge <= 0.0:

@@ -169,10 +169,10 @@ class Iteration:
         self._converged_m = _CONVERGED_MOTION * edge
         self._reuse_m, self._large_m = TANGENT_REUSE * edge, LARGE_MOTION * edge
         self._cut_m = 0.9 * MAX_STEP * edge
-        # A contact of a single node tells too little of shape and friction to start from; with
-        # optical flow the support is that of the start
-        state = start.state or newton.rest
-        self._warm = bool(np.count_nonzero(state.pressure) > (data.flow is None))
+        # A contact of a single node tells too little of shape and friction to start from, but with
+        # optical flow it is kept: the support is not selected then
+        state, fewest = start.state or newton.rest, 2 if data.flow is None else 1
+        self._warm = bool(np.count_nonzero(state.pressure) >= fewest)
         self._state, self._view = state if self._warm else newton.rest, start.view
         self._tangent = start.tangent
         scales = start.friction_scales if self._warm else WIDEST

@@ -124,7 +124,8 @@ def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa)
     (row,) = (each for each in parameters(found) if each["name"] == "gauge pressure")
     assert "open chamber for ten seconds" in row["narrower"]
     assert row["told_by"].endswith("sensor file")
-    assert any("ecord the open chamber for ten seconds" in line for line in advice(found))
+    why = "one of them is wrong. R" if found.contradicts_file else "every force no better: r"
+    assert any(f"{why}ecord the open chamber for ten seconds" in line for line in advice(found))
 
 
 def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):

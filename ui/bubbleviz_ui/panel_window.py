@@ -214,7 +214,7 @@ class PanelWindow(QMainWindow):
     def event(self, event: QEvent) -> bool:
         """Fit docks whose contents changed; keep heights that were dragged.
 
-        The view has what waits for its picture painted, so that both show the same frame.
+        While a redraw of the view is due, nothing else is painted: both show the same frame.
         """
         if event.type() == QEvent.Type.UpdateRequest and self.view.redraw_due:
             return True
