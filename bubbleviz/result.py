@@ -31,9 +31,10 @@ class FineContact:
     """Contact of an estimate on a locally refined mesh, see `inverse.contact_refiner`."""
 
     mesh: MembraneMesh  # the part of the reference surface around the contact, k nodes
-    # (k, 2) int, nodes of the full mesh midway between which each node lies; twice the same for
-    # nodes of the full mesh
+    # (k, 2) or (k, 4) int, nodes of the full mesh midway between which each node lies; all the same
+    # for nodes of the full mesh
     ends: np.ndarray
+    edge_m: float  # mean length of the mesh's edges at the contact
     contact_pressure_pa: np.ndarray  # (k,), p_c, Pa
     motion_m: np.ndarray  # (k, 3), displacement, m
     resolution_m: float  # as in `Estimate`
@@ -52,7 +53,7 @@ class FineContact:
     def on_whole(self, level: np.ndarray, nodes: int) -> np.ndarray:
         """A level (k,) at the nodes of the full mesh, (nodes,); its minimum where unknown."""
         full = np.full(nodes, level.min())
-        shared = self.ends[:, 0] == self.ends[:, 1]
+        shared = (self.ends == self.ends[:, :1]).all(axis=1)
         full[self.ends[shared, 0]] = level[shared]
         return full
 

@@ -86,9 +86,7 @@ class PatchFinder:
         )
 
     def _on_finer(self, estimate: Estimate, fine: FineContact) -> Patch:
-        finder = PatchFinder(
-            fine.mesh, self._held, fine.resolution_m, 0.5 * self._edge.edge_length_m
-        )
+        finder = PatchFinder(fine.mesh, self._held, fine.resolution_m, fine.edge_m)
         patch = finder._drawn(fine.estimate(estimate), None)
         level = fine.on_whole(patch.level, len(self._mesh.nodes))
         return replace(patch, level=level, fine_level=patch.level)

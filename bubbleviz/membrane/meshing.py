@@ -260,7 +260,7 @@ class Refined(NamedTuple):
 
     mesh: MembraneMesh  # the coarser one's nodes come first
     # (k, 2) int, nodes of the coarser mesh that each node lies midway between; twice the same for
-    # its own
+    # its own. (k, 4) if refined twice
     ends: np.ndarray
     parent: np.ndarray  # (m,) int, triangle of the coarser mesh that each triangle is part of
 
@@ -268,10 +268,16 @@ class Refined(NamedTuple):
         """Values on the coarser nodes (n, …), interpolated linearly to the finer ones."""
         return midway(coarse, self.ends)
 
+    def again(self, chosen: np.ndarray) -> Refined:
+        """With some of its triangles (m,) bool cut into four once more."""
+        finer = refinement(self.mesh, chosen)
+        ends = self.ends[finer.ends].reshape(len(finer.ends), -1)
+        return Refined(finer.mesh, ends, self.parent[finer.parent])
+
 
 def midway(coarse: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Means of the values (n, …) of pairs of nodes (k, 2), (k, …)."""
-    values: np.ndarray = 0.5 * (coarse[ends[:, 0]] + coarse[ends[:, 1]])
+    """Means of the values (n, …) of the `ends` (k, 2) or (k, 4) of each node, (k, …)."""
+    values: np.ndarray = coarse[ends].mean(axis=1)
     return values
 
 

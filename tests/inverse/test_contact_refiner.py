@@ -90,7 +90,7 @@ def test_area_of_small_contacts_on_a_coarse_mesh_equals_the_meridian_solution():
     for solver in (None, "rubber-base"):
         pipe = pipeline(400, solver=solver)
         found = []
-        for depth in (0.003, 0.005, 0.007):
+        for depth in (0.002, 0.003, 0.005, 0.007):
             area_m2, surface = on_axis(depth)
             image = frame_of(surface, np.zeros_like(surface.nodes))
             pipe.restart()
@@ -123,8 +123,9 @@ def test_a_smooth_error_of_the_model_does_not_blur_the_contact():
     frame = frame_of(mesh, motion)
     v, u = np.indices(frame.depth_m.shape) / 79.5 - 1.0
     saddle = replace(frame, depth_m=frame.depth_m + 2e-4 * (u**2 - v**2))
-    exact, off = (pipeline(400).process(image, PRODUCTS) for image in (frame, saddle))
-    assert off.patch.edge_half_width_m == pytest.approx(exact.patch.edge_half_width_m, rel=0.1)
+    pipe = pipeline(400)
+    exact, off = pipe.process(frame, PRODUCTS), pipeline(400).process(saddle, PRODUCTS)
+    assert off.patch.edge_half_width_m < 0.55 * (0.5 * pipe.mesh.edge_length)
     assert off.patch.area_m2 == pytest.approx(exact.patch.area_m2, rel=0.1)
 
 

@@ -363,7 +363,7 @@ def test_estimate_cache_drops_the_oldest_and_counts_refined_meshes():
 
     mesh, kept = mesh_cap(spherical_cap(0.045, 0.02), 1000), EstimateCache(5 * size)
     zero = np.zeros(len(mesh.nodes))
-    fine = FineContact(mesh, np.zeros((len(zero), 2), int), zero, mesh.nodes, 1e-3)
+    fine = FineContact(mesh, np.zeros((len(zero), 2), int), 1e-3, zero, mesh.nodes, 1e-3)
     for frame in range(3):
         kept.keep(frame, Kept(Numbers(), replace(estimate, fine=fine)))
     _ = mesh.rings  # computed lazily and cached by the mesh

@@ -22,7 +22,7 @@ def test_edge_of_a_refined_patch_is_drawn_at_its_position():
     out = from_center(finer.mesh.nodes)
     zero = np.zeros(len(mesh.nodes))
     down = np.tile([0.0, 0.0, -SUNK_M], (len(mesh.nodes), 1))
-    fine = FineContact(finer.mesh, finer.ends, 0.0 * out, finer.values(down), 1e-3)
+    fine = FineContact(finer.mesh, finer.ends, 1e-3, 0.0 * out, finer.values(down), 1e-3)
     estimate = Estimate("ok", zero, zero, 0.0, 0.0, 0.0, displacement_3d_m=down, fine=fine)
     level = RADIUS_M - out
     patch = Patch(0.0, level[: len(zero)], zero[:3], zero[:3], 1e-5, fine_level=level)
