@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import signal
@@ -53,6 +54,12 @@ class OneLineErrors(click.Group):
             _fail(str(error), 2)
         except SolveError as error:
             _fail(str(error), 1)
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            # what stdout still holds would fail again at the end of the program
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _fail("output cannot be written, the disk is full; free some space", 2)
         except ModuleNotFoundError as error:
             library = (error.name or "").split(".")[0]
             if library not in WINDOW_LIBRARIES:

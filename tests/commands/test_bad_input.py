@@ -1,8 +1,10 @@
 """Bad input: one line that names the file and what is wrong, exit code 2, nothing written."""
 
+import os
 import subprocess
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -418,3 +420,14 @@ def test_damaged_frame_leaves_no_output(bench, monkeypatch):
     done = bench.run(*COMMANDS["estimate"])
     assert isinstance(done.exception, MemoryError)
     assert snapshot(bench.folder) == before
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_behind_the_printed_output():
+    buffered, words = os.environ | {"PYTHONUNBUFFERED": ""}, [*COMMAND, "presets"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            words, stdout=full, stderr=subprocess.PIPE, env=buffered, text=True, check=False
+        )
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "disk is full" in done.stderr
