@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.group(cls=OneLineErrors)
 def benchmarks() -> None:
-    """Accuracy benchmarks: bounds, limits, coverage, other methods."""
+    """Accuracy benchmarks: bounds, limits, coverage."""
 
 
 def _command(make: Callable[..., list[Study]]) -> None:
@@ -74,17 +74,6 @@ def shear(quick: bool, seed: int) -> list[Study]:
 
     grid = replace(quick_shear_grid() if quick else ShearGrid(), seed=seed)
     return [slip_study(grid), shear_study(grid)]
-
-
-@_command
-def pose(sensor: Sensor, quick: bool, seed: int) -> list[Study]:
-    """Pose against Open3D, small_gicp and the whole cloud."""
-    from benchmarks.pose_rivals import PoseGrid, rivals_study
-
-    grid = PoseGrid(seed=seed)
-    if quick:
-        grid = replace(grid, poses=4, noises_relative=(0.0, 0.01), truth_nodes=8_000)
-    return [rivals_study(sensor, grid)]
 
 
 @_command
