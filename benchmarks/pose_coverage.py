@@ -1,13 +1,19 @@
-"""Error, coverage of the 95 % ellipsoid and time of tracked poses, at rest and moving."""
+"""Error, coverage of the 95 % ellipsoid and time of tracked poses, at rest and moving.
+
+Beside them the libraries Open3D and small_gicp, which register the same contact points by
+point-to-plane ICP from the pose of the frame before.
+"""
 
 from __future__ import annotations
 
+import importlib.util
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,7 +22,7 @@ from scipy.stats import chi2
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import PoseTracker, motion_between, precision_of
+from bubbleviz.pose import PoseTracker, contact_points, motion_between, precision_of
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose
 from bubbleviz.sensor import Sensor
@@ -81,17 +87,20 @@ class PoseRow(PoseErrors):
     motion: str  # "at rest" or "moving"
     status: str
     distance2: float = np.inf  # squared Mahalanobis distance of the true pose
-    median_ms: float = np.nan  # processor time of the pose, over all but the first frame
-    slow_ms: float = np.nan  # 95 % of the frames take less
+    # processor time of the pose: median over all but the first frame, and what 95 % take less than;
+    # a library's for the last frame
+    median_ms: float = np.nan
+    slow_ms: float = np.nan
+    method: str = "bubbleviz"  # or a library
 
     @property
     def lost(self) -> bool:
         return self.status != "ok"
 
     @property
-    def covered(self) -> bool:
-        """Whether the 95 % ellipsoid contains the true pose."""
-        return self.distance2 <= _LIMIT
+    def covered(self) -> float:
+        """Whether the 95 % ellipsoid contains the true pose; NaN for a library, which has none."""
+        return float(self.distance2 <= _LIMIT) if self.method == PoseRow.method else np.nan
 
 
 def coverage_study(sensor: Sensor, grid: Grid, parts: Path | None = None) -> Study:
@@ -139,7 +148,7 @@ class _Bench:
         solved = cache(lambda k: self._presses.press(obj, poses[k]))
         model = ObjectSurface(obj)
         metrics = PoseMetrics(model, precision_of(self._pipeline.estimator))
-        rows = []
+        others, rows = libraries(model), []
         for moving, (absolute_m, relative) in product((False, True), grid.noises):
             noise = DepthNoise(relative=relative, absolute_m=absolute_m)
             text = f"{100 * relative:g} %" if relative else f"{1e3 * absolute_m:g} mm"
@@ -153,8 +162,17 @@ class _Bench:
                 truths[-1].T_B_O,
             )
             for seed in range(grid.seeds):
-                pose, times = self._tracked(model, truths, noise, seed, random)
+                pose, times, before, points = self._tracked(model, truths, noise, seed, random)
                 rows.append(_row(base, pose, times, metrics, true))
+                for method, register in others.items():
+                    row = replace(base, method=method, status=pose.status)
+                    if pose.status == "ok":
+                        began = time.process_time()
+                        T_B_O = register(points, before)
+                        ms = 1e3 * (time.process_time() - began)
+                        errors = vars(metrics.errors(T_B_O, true))
+                        row = replace(row, **errors, median_ms=ms, slow_ms=ms)
+                    rows.append(row)
         return rows
 
     def _tracked(
@@ -164,10 +182,13 @@ class _Bench:
         noise: DepthNoise,
         seed: int,
         random: np.random.Generator,
-    ) -> tuple[Pose, np.ndarray]:
-        """Pose in the last frame from a wrong initial one, and processor times (F − 1,), ms."""
+    ) -> tuple[Pose, np.ndarray, np.ndarray, np.ndarray]:
+        """Pose in the last frame from a wrong initial one, and processor times (F − 1,), ms.
+
+        Also the pose T_B_O (4, 4) before, and the contact points (k, 3) of the last frame.
+        """
         start = wrong_pose(truths[0].T_B_O, truths[0].T_B_O[:3, 3], random)
-        pipeline, times = self._pipeline, []
+        pipeline, times, found = self._pipeline, [], [start]
         pipeline.restart()
         tracker = PoseTracker(pipeline.estimator, model.obj, start, membrane=pipeline.model.rubber)
         for k, truth in enumerate(truths):
@@ -180,7 +201,58 @@ class _Bench:
             began = time.process_time()
             pose = tracker.update(result.frame, result.estimate, result.patch)
             times.append(1e3 * (time.process_time() - began))
-        return pose, np.array(times[1:])
+            found.append(pose.T_B_O if pose.status == "ok" else found[-1])
+            contact = contact_points(pipeline.mesh, result.estimate, result.patch)
+        points = np.zeros((0, 3)) if contact is None else contact.points
+        return pose, np.array(times[1:]), found[-2], points
+
+
+Registration = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""T_B_O (4, 4) from points (k, 3) in B and an initial T_B_O."""
+_SAMPLES, _ICP_STEPS = 20_000, 60  # points of the object that a library registers to; at most
+_ICP_REACH_M = 0.010  # longest correspondence
+
+
+def libraries(model: ObjectSurface) -> dict[str, Registration]:
+    """Point-to-plane ICP of other libraries, by name; small_gicp where it is installed."""
+    from open3d import geometry, utility
+    from open3d.pipelines import registration as o3d
+
+    points, normals = model.sample(_SAMPLES)
+    cloud = geometry.PointCloud(utility.Vector3dVector(points))
+    cloud.normals = utility.Vector3dVector(normals)
+    plane, ends = o3d.TransformationEstimationPointToPlane(), o3d.ICPConvergenceCriteria
+    most = ends(max_iteration=_ICP_STEPS)
+
+    def open3d(seen: np.ndarray, start: np.ndarray) -> np.ndarray:
+        source = geometry.PointCloud(utility.Vector3dVector(seen))
+        T_O_B = np.linalg.inv(start)
+        found = o3d.registration_icp(source, cloud, _ICP_REACH_M, T_O_B, plane, most)
+        return np.linalg.inv(found.transformation)
+
+    ways: dict[str, Registration] = {"Open3D": open3d}
+    if importlib.util.find_spec("small_gicp"):
+        import small_gicp
+
+        target: Any = small_gicp.PointCloud(points)
+        tree = small_gicp.KdTree(target)
+        small_gicp.estimate_normals_covariances(target, tree, num_neighbors=12)
+
+        def gicp(seen: np.ndarray, start: np.ndarray) -> np.ndarray:
+            found = small_gicp.align(
+                target,
+                small_gicp.PointCloud(seen),
+                tree,
+                init_T_target_source=np.linalg.inv(start),
+                registration_type="PLANE_ICP",
+                max_correspondence_distance=_ICP_REACH_M,
+                num_threads=1,
+                max_iterations=_ICP_STEPS,
+            )
+            return np.linalg.inv(found.T_target_source)
+
+        ways["small_gicp"] = gicp
+    return ways
 
 
 def _row(
@@ -200,7 +272,7 @@ def _row(
     return replace(row, **vars(metrics.errors(pose.T_B_O, true)), distance2=float(distance2))
 
 
-_CLASS = ("object_name", "material", "noise", "motion")
+_CLASS = ("object_name", "material", "noise", "motion", "method")
 _OF: Averages = averages("error_m", "whole_m", "whole_rad", "median_ms") | {
     "lost": ("lost", np.sum),
     "covered": ("covered", np.mean),
@@ -215,8 +287,8 @@ _COLUMNS = (
     Column("covered %", "covered", ".0f", 100),
     Column("lost", "lost", ".0f"),
     Column("tracks", "count"),
-    Column("ms", "median_ms", ".0f"),
-    Column("95 % ms", "slow_ms", ".0f"),
+    Column("ms", "median_ms", ".1f"),
+    Column("95 % ms", "slow_ms", ".1f"),
 )
 
 
@@ -224,8 +296,8 @@ def report_of(rows: list[PoseRow]) -> Report:
     """Coverage, errors along the determined directions and along all, and times."""
     found = summaries(rows, _CLASS, _OF)
     targets: list[Target] = []
-    for one in found:
-        name = ", ".join(one[key] for key in _CLASS)
+    for one in (each for each in found if each["method"] == PoseRow.method):
+        name = ", ".join(one[key] for key in _CLASS[:-1])
         targets += [
             at_least(f"{name}: covered", one["covered"], LEAST),
             at_most(f"{name}: covered", one["covered"], MOST),
