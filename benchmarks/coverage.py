@@ -120,7 +120,7 @@ def coverage_study(grid: CoverageGrid, parts: Path | None = None) -> Study:
         for seed in range(grid.seeds)
     ]
     settings = asdict(replace(grid, rubbers=(), seeds=0))  # rubbers and seeds may be added later
-    return Study("coverage", CoverageRow, cases, report_of, "identification", settings, parts)
+    return Study("coverage", CoverageRow, cases, report_of, settings, parts)
 
 
 @cache

@@ -23,7 +23,7 @@ from bubbleviz.sensor import Sensor
 from bubbleviz.simulation import (
     DepthNoise,
     RubberPresses,
-    RubberTruth,
+    SimulatedPress,
     TruthBank,
     noise_name,
     study_object,
@@ -93,7 +93,7 @@ class Limit:
 def detection_study(sensor: Sensor, grid: DetectionGrid) -> Study:
     """The limit of every setup, noise and place, with and without the gas pressure."""
     cases = [Case(name, partial(_limits, sensor, grid, name)) for name in grid.specimens]
-    return Study("detection", Limit, cases, report_of, unit="membrane")
+    return Study("detection", Limit, cases, report_of)
 
 
 def _limits(sensor: Sensor, grid: DetectionGrid, name: str) -> list[Limit]:
@@ -127,7 +127,7 @@ def _smallest(limit: Limit, alarm: Alarm, ladder: Ladder) -> Limit:
         step = (low + high) // 2
         found = float(np.mean(alarm.forces(ladder, step) > limit.level_n))
         if found >= FOUND:
-            force = float(np.linalg.norm(ladder.truth(step).contact.nodal_force_n.sum(axis=0)))
+            force = float(np.linalg.norm(ladder.press(step).truth.force_n))
             depth = ladder.depth_m(step)
             high, best = step, replace(limit, depth_m=depth, force_n=force, found=found)
         else:
@@ -148,21 +148,21 @@ class Ladder:
             mesh = refine(mesh, np.linalg.norm(middles - self._at, axis=1) < share * radius)
         self._presses = replace(presses, mesh=mesh)
         self._object = study_object(grid.object_name)
-        self._truths: dict[int, RubberTruth] = {}
+        self._pressed: dict[int, SimulatedPress] = {}
         self.bank = TruthBank(self._presses, grid.seed)
 
     def depth_m(self, step: int) -> float:
         """Depth along the normal, m."""
         return float(_MIN_DEPTH_M * _RATIO**step)
 
-    def truth(self, step: int) -> RubberTruth:
+    def press(self, step: int) -> SimulatedPress:
         """Equilibrium at a step."""
-        if step not in self._truths:
+        if step not in self._pressed:
             pose = np.eye(4)
             pose[:3, :3] = Rotation.align_vectors(self._normal, [0.0, 0.0, 1.0])[0].as_matrix()
             pose[:3, 3] = self._at - self.depth_m(step) * self._normal
-            self._truths[step] = self._presses.press(self._object, pose)
-        return self._truths[step]
+            self._pressed[step] = self._presses.press(self._object, pose)
+        return self._pressed[step]
 
 
 class Alarm:
@@ -185,9 +185,9 @@ class Alarm:
         if step is None:
             first, count = 0, self._grid.rest_frames
         else:
-            truth, first = ladder.truth(step), (step + 1) * _NOISES
-            ranges = truth.range_m
-            gas = bank.rest_pressure_pa + truth.contact.gas_pressure_change_pa
+            pressed, first = ladder.press(step), (step + 1) * _NOISES
+            ranges = pressed.range_m
+            gas = bank.rest_pressure_pa + pressed.truth.gas_pressure_change_pa
         random = np.random.default_rng([bank.seed, first])
         measured = gas + GAS_NOISE * bank.rest_pressure_pa * random.standard_normal(count)
         zeros = zeros_of(self._at_rest(bank, first), self._pipeline)

@@ -22,6 +22,7 @@ from bubbleviz.simulation import (
     SMOOTH_OBJECTS,
     TRUTH_NODES,
     DepthNoise,
+    Press,
     SimulatedPress,
     TruthBank,
     noise_name,
@@ -103,19 +104,20 @@ def edge_study(sensor: Sensor, grid: EdgeGrid) -> Study:
     cases = [
         Case(Path(name).stem, partial(_rows, grid, membrane, bank, name)) for name in grid.objects
     ]
-    return Study("edge", EdgeRow, cases, report_of, unit="object")
+    return Study("edge", EdgeRow, cases, report_of)
 
 
 def _rows(grid: EdgeGrid, membrane: accuracy.Specimen, bank: TruthBank, name: str) -> list[EdgeRow]:
     height, rows = float(bank.mesh.nodes[:, 2].max()), list[EdgeRow]()
-    own = [bank.simulate(p) for p in presses((name,), tuple(s * height for s in grid.depths))]
+    pressed = presses((name,), tuple(share * height for share in grid.depths))
+    own = [bank.simulate(press) for press in pressed]
     for noise in grid.noises:
         best = best_thresholds(bank, own, noise)
         for setup in SETUPS:
             pipeline = setup.pipeline(membrane.model(noise))
             zeros = zeros_of(bank.frames_at_rest(noise, 2), pipeline)
-            for sighting, iou_threshold in zip(own, best, strict=True):
-                row = _row(pipeline, zeros, bank, sighting, noise, float(iou_threshold))
+            for press, sighting, iou_threshold in zip(pressed, own, best, strict=True):
+                row = _row(pipeline, zeros, bank, press, sighting, noise, float(iou_threshold))
                 rows.append(replace(row, setup=setup.label))
     return rows
 
@@ -124,6 +126,7 @@ def _row(
     pipeline: Pipeline,
     zeros: Zeros,
     bank: TruthBank,
+    press: Press,
     sighting: SimulatedPress,
     noise: DepthNoise,
     threshold: float,
@@ -133,7 +136,7 @@ def _row(
         result = pipeline.process(
             zeros.applied(bank.frame(sighting.range_m, noise, k)), accuracy.PRODUCTS
         )
-    estimator, press = pipeline.estimator, sighting.press
+    estimator = pipeline.estimator
     place, shape = (edge_bound(estimator, sighting, degree) for degree in (PLACE, SHAPE))
     row = EdgeRow(
         objects="study's own" if press.object_name in EDGE_OBJECTS else "others",

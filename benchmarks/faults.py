@@ -71,7 +71,7 @@ def faults_study(errors: int, seed: int, parts: Path | None = None) -> Study:
         press, kind = presses[k % len(presses)], kinds[k // len(presses) % len(kinds)]
         cases.append(Case(f"{k} {press}: {kind}", partial(_row, press, kind, seed, k)))
     settings = {"errors": errors, "seed": seed}
-    return Study("faults", FaultRow, cases, report_of, "error", settings, parts)
+    return Study("faults", FaultRow, cases, report_of, settings, parts)
 
 
 def _row(press_name: str, kind: str, seed: int, number: int) -> list[FaultRow]:

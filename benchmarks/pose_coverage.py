@@ -34,7 +34,7 @@ from bubbleviz.simulation import (
     Press,
     Presses,
     RubberPresses,
-    RubberTruth,
+    SimulatedPress,
     rubber_sensor,
     study_object,
 )
@@ -110,7 +110,7 @@ def coverage_study(sensor: Sensor, grid: Grid, parts: Path | None = None) -> Stu
         Case(f"{name} {material} {path}", partial(benches[material].rows, name, path))
         for material, name, path in product(grid.materials, grid.objects, range(grid.paths))
     ]
-    return Study("pose_coverage", PoseRow, cases, report_of, "path", asdict(grid), parts)
+    return Study("pose_coverage", PoseRow, cases, report_of, asdict(grid), parts)
 
 
 def poses_of(press: Press, presses: Presses, grid: Grid, path: int) -> np.ndarray:
@@ -155,12 +155,9 @@ class _Bench:
             motion = "moving" if moving else "at rest"
             base = PoseRow(name, self._material, text, motion, "none")
             truths = [solved(k if moving else 0) for k in range(grid.frames)]
-            true = metrics.touching(
-                truths[-1].mesh,
-                truths[-1].contact.displacement_3d_m,
-                truths[-1].contact.contact_pressure_pa,
-                truths[-1].T_B_O,
-            )
+            last = truths[-1].truth
+            touched = truths[-1].mesh, last.displacement_3d_m, last.contact_pressure_pa
+            true = metrics.touching(*touched, truths[-1].T_B_O)
             for seed in range(grid.seeds):
                 pose, times, before, points = self._tracked(model, truths, noise, seed, random)
                 rows.append(_row(base, pose, times, metrics, true))
@@ -178,7 +175,7 @@ class _Bench:
     def _tracked(
         self,
         model: ObjectSurface,
-        truths: Sequence[RubberTruth],
+        truths: Sequence[SimulatedPress],
         noise: DepthNoise,
         seed: int,
         random: np.random.Generator,

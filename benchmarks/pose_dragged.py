@@ -94,7 +94,7 @@ def dragged_study(grid: Grid) -> Study:
         Case(f"{name} {1e3 * noise_m:g} mm {seed}", partial(bench.rows, name, noise_m, seed))
         for name, noise_m, seed in product(grid.names, grid.noises_m, range(grid.seeds))
     ]
-    return Study("pose_dragged", DraggedRow, cases, report_of, "track", asdict(grid))
+    return Study("pose_dragged", DraggedRow, cases, report_of, asdict(grid))
 
 
 def _ball() -> RigidObject:

@@ -125,7 +125,7 @@ def shear_study(grid: ShearGrid) -> Study:
         for k in range(ways)
         for way in [f"{make.__name__.strip('_')} {k}"]
     ]
-    return Study("shear", ShearTrial, cases, report_of, unit="path")
+    return Study("shear", ShearTrial, cases, report_of)
 
 
 def _all_noises(grid: ShearGrid, make: Callable[[], list[_Moved]]) -> list[ShearTrial]:

@@ -55,7 +55,7 @@ def slip_study(grid: ShearGrid) -> Study:
     cases = [
         Case(f"{1e3 * depth:g} mm", partial(_slip, grid, depth)) for depth in grid.slip_depths_m
     ]
-    return Study("slip", SlipTrial, cases, report_of, unit="contact")
+    return Study("slip", SlipTrial, cases, report_of)
 
 
 def _slip(grid: ShearGrid, depth_m: float) -> list[SlipTrial]:

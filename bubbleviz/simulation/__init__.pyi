@@ -2,7 +2,6 @@ from .depth_noise import (
     DepthNoise as DepthNoise,
     dome as dome,
     resized as resized,
-    strided as strided,
     with_nodes as with_nodes,
     with_noise as with_noise,
     with_pixels as with_pixels,
@@ -40,7 +39,7 @@ from .rubber_truth import (
     LinearPresses as LinearPresses,
     Presses as Presses,
     RubberPresses as RubberPresses,
-    RubberTruth as RubberTruth,
+    SimulatedPress as SimulatedPress,
     refined_press as refined_press,
     rubber_sensor as rubber_sensor,
 )
@@ -57,11 +56,7 @@ from .synthetic_source import (
     simulation_mesh as simulation_mesh,
     truth_of as truth_of,
 )
-from .truth_bank import (
-    SimulatedPress as SimulatedPress,
-    TruthBank as TruthBank,
-    noise_name as noise_name,
-)
+from .truth_bank import TruthBank as TruthBank, noise_name as noise_name
 from .truth_file import (
     RecordingWithTruth as RecordingWithTruth,
     read_truth as read_truth,

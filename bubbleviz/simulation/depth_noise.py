@@ -106,19 +106,9 @@ def dome(prestretch: float) -> Sensor:
     return Sensor(name="dome", membrane=membrane, pneumatics=gas, camera=camera)
 
 
-def with_nodes(sensor: Sensor, nodes: int | None) -> Sensor:
+def with_nodes(sensor: Sensor, nodes: int) -> Sensor:
     """Sensor with another target number of nodes."""
-    if nodes is None:
-        return sensor
     return changed(sensor, membrane={"nodes": nodes})
-
-
-def strided(sensor: Sensor, stride: int) -> Sensor:
-    """Sensor whose camera has every stride-th pixel of every stride-th row."""
-    own = sensor.camera
-    size = {name: -(-getattr(own, name) // stride) for name in ("width", "height")}
-    intrinsics = {name: getattr(own, name) / stride for name in ("fx", "fy", "cx", "cy")}
-    return changed(sensor, camera={**size, **intrinsics})
 
 
 def resized(sensor: Sensor, width: int, height: int) -> Sensor:

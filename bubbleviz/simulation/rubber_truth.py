@@ -1,4 +1,4 @@
-"""Ground truth of presses into the exact or the linear membrane: contact and noise-free ranges."""
+"""Presses into the exact or the linear membrane, with ground truth and noise-free ranges."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from bubbleviz.membrane import (
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Pneumatics, Sensor, changed
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation.synthetic_source import simulation_mesh
+from bubbleviz.simulation.synthetic_source import Truth, simulation_mesh
 
 # Presses into the exact membrane on a mesh that is refined in the contact, most at edges.
 #
@@ -102,13 +102,13 @@ TRUTH_NODES = 2_600
 LINEAR_NODES = 12_500  # of the linear model, which is fast: about 15 times the estimator's 800
 
 
-class RubberTruth(NamedTuple):
-    """A press with its noise-free ranges."""
+class SimulatedPress(NamedTuple):
+    """A press with ground truth and noise-free ranges."""
 
     T_B_O: np.ndarray  # (4, 4)
-    mesh: MembraneMesh
-    contact: Contact
-    range_m: np.ndarray  # (H, W), NaN where a ray misses the membrane
+    mesh: MembraneMesh  # reference surface of the truth
+    truth: Truth
+    range_m: np.ndarray  # (H, W), range along each ray; NaN where it misses the membrane
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Presses(ABC):
     mesh: MembraneMesh  # reference surface
     pneumatics: Pneumatics
 
-    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> RubberTruth:
+    def press(self, obj: RigidObject, T_B_O: np.ndarray) -> SimulatedPress:
         """Press an object at a pose (4, 4).
 
         Raises InputError, SolveError: the pose cuts the rim, or has no equilibrium.
@@ -128,7 +128,8 @@ class Presses(ABC):
         if not contact.converged:
             raise SolveError(f"no equilibrium of {obj.name} at this pose; press it less deep")
         view = MembraneView(self.camera, mesh)
-        return RubberTruth(T_B_O, mesh, contact, view.range_image(contact.displacement_3d_m))
+        ranges = view.range_image(contact.displacement_3d_m)
+        return SimulatedPress(T_B_O, mesh, Truth.of(contact, view), ranges)
 
     @abstractmethod
     def solved(self, obj: RigidObject, T_B_O: np.ndarray) -> tuple[MembraneMesh, Contact]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +16,9 @@ from bubbleviz.processes import MEMORY_LIMIT_BYTES, WorkerProcess
 from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.simulation.depth_noise import DepthNoise
 from bubbleviz.simulation.presses import Press, study_object
-from bubbleviz.simulation.rubber_truth import Presses, RubberTruth
+from bubbleviz.simulation.rubber_truth import Presses, SimulatedPress
 from bubbleviz.simulation.synthetic_source import Truth
 from bubbleviz.zeros import ZERO_FRAMES
-
-
-@dataclass(frozen=True)
-class SimulatedPress:
-    """A press with ground truth and noise-free ranges."""
-
-    press: Press
-    mesh: MembraneMesh  # reference surface of the truth
-    truth: Truth
-    range_m: np.ndarray  # (H, W), range along each ray; NaN where it misses the membrane
 
 
 class TruthBank:
@@ -65,24 +55,21 @@ class TruthBank:
         range_m: np.ndarray,
         noise: DepthNoise,
         index: int,
-        stride: int = 1,
         gas_pressure_pa: float | None = None,
     ) -> Frame:
-        """Frame of ranges (H, W), m, with the noise of an `index`, at every stride-th pixel."""
-        depth = noise.depth_image(self.camera, range_m, self.seed, index)[::stride, ::stride]
-        depth = np.ascontiguousarray(depth)
+        """Frame of ranges (H, W), m, with the noise of an `index`."""
+        depth = noise.depth_image(self.camera, range_m, self.seed, index)
         return Frame(index, index / 30.0, depth, gas_pressure_pa=gas_pressure_pa)
 
     def frames_at_rest(
         self,
         noise: DepthNoise,
         first: int,  # index of the noise of the first one
-        stride: int = 1,
         gas_pressure_pa: float | None = None,
     ) -> HeldFrames:
         """Half a second without contact, ending at 0 s, for `zeros_of`."""
         frames = [
-            self.frame(self.rest_range_m, noise, first + k, stride, gas_pressure_pa)
+            self.frame(self.rest_range_m, noise, first + k, gas_pressure_pa)
             for k in range(ZERO_FRAMES)
         ]
         times = np.arange(-ZERO_FRAMES, 0) / 30.0
@@ -90,14 +77,14 @@ class TruthBank:
 
     def _simulated(self, press: Press) -> SimulatedPress:
         if self._folder is None:
-            return self._with_truth(press, self._solved(press))
+            return self._solved(press)
         name = Path(press.object_name).stem
         path = self._folder / f"{name}_{round(1e6 * press.depth_m)}um_{self.seed}.npz"
         if not path.exists():
-            _save(self._with_truth(press, self._solved(press)), path)
-        return _load(press, path)
+            _save(self._solved(press), path)
+        return _load(path)
 
-    def _solved(self, press: Press) -> RubberTruth:
+    def _solved(self, press: Press) -> SimulatedPress:
         solve, args = self._presses.press, (study_object(press.object_name), self.pose(press))
         if self._limit_s is None:
             return solve(*args)
@@ -105,24 +92,20 @@ class TruthBank:
             outcome = worker.call(solve, *args, limit_s=self._limit_s)
         if outcome.kind != "returned":
             raise SolveError(outcome.detail)
-        truth: RubberTruth = outcome.value
-        return truth
-
-    def _with_truth(self, press: Press, solved: RubberTruth) -> SimulatedPress:
-        view = MembraneView(self.camera, solved.mesh)
-        return SimulatedPress(press, solved.mesh, Truth.of(solved.contact, view), solved.range_m)
+        simulated: SimulatedPress = outcome.value
+        return simulated
 
 
 def _save(simulated: SimulatedPress, path: Path) -> None:
     mesh, truth = vars(simulated.mesh), asdict(simulated.truth)
     arrays = {f"mesh_{name}": mesh[name] for name in ("nodes", "triangles", "rim")}
     arrays |= {f"truth_{name}": value for name, value in truth.items()}
-    arrays["range_m"] = simulated.range_m
+    arrays |= {"range_m": simulated.range_m, "T_B_O": simulated.T_B_O}
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, **arrays)
 
 
-def _load(press: Press, path: Path) -> SimulatedPress:
+def _load(path: Path) -> SimulatedPress:
     with np.load(path) as file:
         arrays = dict(file.items())
 
@@ -131,7 +114,7 @@ def _load(press: Press, path: Path) -> SimulatedPress:
         return {k: v if v.ndim else float(v) for k, v in named.items()}
 
     mesh, truth = MembraneMesh(**part("mesh_")), Truth(**part("truth_"))
-    return SimulatedPress(press, mesh, truth, arrays["range_m"])
+    return SimulatedPress(arrays["T_B_O"], mesh, truth, arrays["range_m"])
 
 
 def noise_name(noise: DepthNoise) -> str:

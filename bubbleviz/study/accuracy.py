@@ -32,6 +32,7 @@ from bubbleviz.simulation import (
     DepthNoise,
     LinearPresses,
     Model,
+    Press,
     Presses,
     RubberPresses,
     SimulatedPress,
@@ -40,7 +41,6 @@ from bubbleviz.simulation import (
     noise_name,
     presses,
     rubber_sensor,
-    strided,
     with_nodes,
     with_noise,
 )
@@ -75,24 +75,18 @@ class Setup:
 
     solver: str | None = None
     nodes: int | None = None
-    stride: int = 1  # every stride-th pixel of every stride-th row
 
     @property
     def label(self) -> str:
         """Short name, usable as a file name."""
-        parts = [
-            self.solver or "default",
-            f"n{self.nodes}" if self.nodes else "",
-            f"stride{self.stride}" if self.stride > 1 else "",
-        ]
-        return "_".join(filter(None, parts))
+        own = self.solver or "default"
+        return f"{own}_n{self.nodes}" if self.nodes else own
 
     def pipeline(self, model: SensorModel) -> Pipeline:
-        """Pipeline of a sensor; on its own mesh unless `nodes` or `stride` differ."""
+        """Pipeline of a sensor; on its own mesh unless `nodes` differ."""
         options = EstimatorOptions.named(self.solver)
-        if self.nodes is not None or self.stride > 1:
-            varied = strided(with_nodes(model.sensor, self.nodes), self.stride)
-            return Pipeline.of(varied, options=options)
+        if self.nodes is not None:
+            return Pipeline.of(with_nodes(model.sensor, self.nodes), options=options)
         return Pipeline(model, options)
 
 
@@ -115,7 +109,7 @@ class Specimen:
 class Grid:
     """Parameters of an accuracy study.
 
-    The first setup is the reference. Setups with another mesh or image run on `sensor` alone.
+    The first setup is the reference. Setups with another mesh run on `sensor` alone.
     """
 
     specimens: tuple[str, ...] = ("sensor", "dome λ 1.05", "dome λ 1.2", "dome λ 1.5")
@@ -170,13 +164,12 @@ class Row(Errors):
 
 
 def full_grid(model: Model = "rubber") -> Grid:
-    """All membranes; for `sensor` also other meshes and images."""
+    """All membranes; for `sensor` also other meshes."""
     sizes = [replace(s, nodes=n) for s in (RUBBER, LINEAR, PAPER) for n in (400, 800, 1600)]
     if model == "linear":
         setups = (LINEAR, PAPER, *(s for s in sizes if s.solver != "rubber"))
         return Grid(("sensor",), setups=setups, model=model, truth_nodes=LINEAR_NODES, limit_s=None)
-    strides = [Setup("rubber", stride=k) for k in (2, 4)]
-    return Grid(setups=(RUBBER, LINEAR, PAPER, *sizes, *strides))
+    return Grid(setups=(RUBBER, LINEAR, PAPER, *sizes))
 
 
 def quick_grid(model: Model = "rubber") -> Grid:
@@ -227,7 +220,7 @@ class Bench:
         self._own, self._grid = own, grid
         self.bank = TruthBank(own.presses, grid.seed, folder, grid.limit_s)
         self.height_m = float(self.bank.mesh.nodes[:, 2].max())
-        self.simulated: list[SimulatedPress] = []
+        self._simulated: dict[Press, SimulatedPress] = {}
 
     def cases(self) -> list[Case]:
         """Every press, then every setup at every noise."""
@@ -236,7 +229,7 @@ class Bench:
         for obj, share in product(grid.objects if own else grid.others_objects, grid.depths):
             runs[f"{obj} at {100 * share:g} %"] = partial(self._press, obj, share)
         for noise, setup in product(grid.noises, grid.setups):
-            if own or (setup.nodes is None and setup.stride == 1):
+            if own or setup.nodes is None:
                 run = partial(self._rows, setup, noise)
                 runs[f"{setup.label}, {noise_name(noise)}"] = run
         return [Case(f"{self._own.name}, {name}", run) for name, run in runs.items()]
@@ -244,35 +237,35 @@ class Bench:
     def _press(self, obj: str, share: float) -> list[Row]:
         """Simulate a press for the later cases; makes no rows."""
         (press,) = presses((obj,), (share * self.height_m,))
-        self.simulated.append(self.bank.simulate(press))
+        self._simulated[press] = self.bank.simulate(press)
         return []
 
     def _rows(self, setup: Setup, noise: DepthNoise) -> list[Row]:
         pipeline = setup.pipeline(self._own.model(noise))
-        rest = self.bank.frames_at_rest(noise, self._grid.repeats + 1, setup.stride)
+        rest = self.bank.frames_at_rest(noise, self._grid.repeats + 1)
         zeros = zeros_of(rest, pipeline)
-        return [self._row(each, noise, setup, pipeline, zeros) for each in self.simulated]
+        return [self._row(press, noise, setup, pipeline, zeros) for press in self._simulated]
 
     def _row(
         self,
-        simulated: SimulatedPress,
+        press: Press,
         noise: DepthNoise,
         setup: Setup,
         pipeline: Pipeline,
         zeros: Zeros,
     ) -> Row:
+        simulated = self._simulated[press]
         frames = (
-            zeros.applied(self.bank.frame(simulated.range_m, noise, k, setup.stride))
+            zeros.applied(self.bank.frame(simulated.range_m, noise, k))
             for k in range(self._grid.repeats + 1)
         )
         pipeline.restart()
         cold, *warm = (pipeline.process(frame, PRODUCTS) for frame in frames)
         solved = [r for r in warm if r.estimate is not None and r.estimate.status == "ok"]
-        errors = [errors_of(pipeline, result, simulated, setup.stride) for result in solved]
+        errors = [errors_of(pipeline, result, simulated) for result in solved]
         means: dict[str, Any] = {f.name: over(errors, f.name, np.mean) for f in fields(Errors)}
         statuses = [r.estimate.status for r in warm if r.estimate is not None]
         residuals = [r.estimate.kkt_residual for r in solved if r.estimate is not None]
-        press = simulated.press
         return Row(
             **means,
             specimen=self._own.name,
@@ -293,12 +286,10 @@ class Bench:
         )
 
 
-def errors_of(
-    pipeline: Pipeline, result: Result, simulated: SimulatedPress, stride: int = 1
-) -> Errors:
+def errors_of(pipeline: Pipeline, result: Result, simulated: SimulatedPress) -> Errors:
     """Errors of a pipeline's result with an estimate, a patch and its pixels.
 
-    The ground truth is on another mesh of the same surface; pixels are every stride-th of it.
+    The ground truth is on another mesh of the same surface.
     """
     estimate, patch, truth = result.estimate, result.patch, simulated.truth
     if estimate is None or patch is None or patch.pixel_mask is None:
@@ -307,7 +298,7 @@ def errors_of(
     force = float(np.linalg.norm(truth.force_n))
     offset = patch.center_of_pressure_m - truth.center_of_pressure_m
     return Errors(
-        iou=iou(patch.pixel_mask, truth.patch_mask[::stride, ::stride]),
+        iou=iou(patch.pixel_mask, truth.patch_mask),
         force_error_relative=truth.force_error(patch.force_n),
         force_excess_relative=float(np.linalg.norm(patch.force_n)) / force - 1.0,
         area_error_relative=patch.area_m2 / truth.patch_area_m2 - 1.0,
@@ -348,21 +339,9 @@ def curves(rows: list[Row]) -> list[Record]:
 
 
 def points(rows: list[Row]) -> list[Record]:
-    """Errors and run time of every setup, for one membrane at one noise.
-
-    `on_front`: on the Pareto front of IoU or of force error over run time.
-    """
+    """Errors and run time of every setup, for one membrane at one noise."""
     deep = [row for row in rows if not row.held_out and row.depth_share >= MIN_DEPTH_SHARE]
-    found = summaries(deep, ("specimen", "noise", "setup", "nodes"), AVERAGES)
-    return [{**point, "on_front": _on_front(point, found)} for point in found]
-
-
-def _on_front(point: Record, found: list[Record]) -> bool:
-    same = [p for p in found if all(p[by] == point[by] for by in ("specimen", "noise"))]
-    others = [p for p in same if p["warm_ms"] <= point["warm_ms"]]
-    better_iou = any(p["iou"] > point["iou"] for p in others)
-    better_force = any(p[ERROR] < point[ERROR] for p in others)
-    return not (better_iou and better_force)
+    return summaries(deep, ("specimen", "noise", "setup", "nodes"), AVERAGES)
 
 
 def targets(rows: list[Row], label: str) -> list[Target]:
@@ -406,7 +385,6 @@ _POINT = (
     Column("CoP mm", "cop_error_m", ".2f", 1e3),
     Column("rms u mm", "displacement_rms_m", ".3f", 1e3),
     Column("p_v err Pa", "gas_error_pa", ".1f"),
-    Column("front", "on_front"),
 )
 
 
@@ -417,8 +395,7 @@ def report_of(grid: Grid, rows: list[Row]) -> Report:
     by = "specimen", "object_name", "noise"
     press = (*(Column(name, name) for name in by), *_ERRORS)
     title = f"Force error over press depth, all membranes and noises; truth: {grid.model} membrane"
-    deep = f"presses from {100 * MIN_DEPTH_SHARE:g} % of the height"
-    time = f"Errors and run time, {deep}; front: on the Pareto front"
+    time = f"Errors and run time, presses from {100 * MIN_DEPTH_SHARE:g} % of the height"
     tables = [
         Table("curves", curves(rows), _CURVE, title),
         Table("points", points(rows), _POINT, time),

@@ -149,7 +149,6 @@ class Study:
     row: type  # of the rows
     cases: Sequence[Case]
     report: Callable[[list[Any]], Report]
-    unit: str = "case"  # for the progress bar
     settings: Record = field(default_factory=dict)
     parts: Path | None = None
     fresh: bool = False  # every case with a limit gets a new process
@@ -177,7 +176,7 @@ class Study:
         rows, omitted = list[Any](), list[str]()
         with (
             WorkerProcess(MEMORY_LIMIT_BYTES) as worker,
-            tqdm(self.cases, unit=self.unit, disable=None) as cases,  # only on a terminal
+            tqdm(self.cases, unit="case", disable=None) as cases,  # only on a terminal
         ):
             for case in cases:
                 if self.fresh:

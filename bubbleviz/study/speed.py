@@ -59,6 +59,12 @@ class Run:
     frames: int = 10  # a small number is taken at the largest depth
     limit_s: float = 120.0
 
+    @property
+    def name(self) -> str:
+        """Its sweep, and what differs from the sensor file."""
+        pixels = () if self.pixels is None else (f"{self.pixels} pixels",)
+        return " ".join((self.sweep, self.setup.label, *pixels))
+
 
 @dataclass(frozen=True)
 class Row:
@@ -74,7 +80,6 @@ class Row:
     nodes: int
     pixels: int
     frames: int
-    error: str = ""
     build_ms: float = np.nan
     cold_ms: float = np.nan
     total_ms: float = np.nan
@@ -86,11 +91,6 @@ class Row:
     memory_peak_bytes: int = 0
     iou_mean: float = np.nan
     force_error_relative_median: float = np.nan
-
-    @property
-    def requested_solver(self) -> str:
-        """Requested solver; the default may use another one for large meshes."""
-        return self.setup.split("_")[0]
 
 
 def full_runs() -> list[Run]:
@@ -124,17 +124,9 @@ def contact_runs(frames: int) -> list[Run]:
 
 
 def speed_study(sensor: Sensor, runs: list[Run]) -> Study:
-    """Run every measurement in a separate process; rows of failed ones have an error."""
-    cases = [
-        Case(
-            f"{run.sweep} {run.setup.label}",
-            partial(measure, sensor, run),
-            run.limit_s,
-            partial(_broken, sensor, run),
-        )
-        for run in runs
-    ]
-    return Study("speed", Row, cases, report_of, unit="run", fresh=True)
+    """Run every measurement in a separate process."""
+    cases = [Case(run.name, partial(measure, sensor, run), run.limit_s) for run in runs]
+    return Study("speed", Row, cases, report_of, fresh=True)
 
 
 def measure(sensor: Sensor, run: Run) -> list[Row]:
@@ -218,12 +210,6 @@ def _quality(results: list[Result], source: SyntheticSource, order: list[int]) -
     }
 
 
-def _broken(sensor: Sensor, run: Run, error: str, _ms: float) -> Row:
-    own, nodes = run.setup, run.setup.nodes or sensor.membrane.nodes
-    pixels = run.pixels or sensor.camera.width * sensor.camera.height
-    return Row(run.sweep, own.label, own.solver or "default", nodes, pixels, frames=0, error=error)
-
-
 def growths(rows: list[Row]) -> list[Record]:
     """Exponents e of time and memory ∝ size^e, fitted to the larger sizes of every sweep."""
     found = list[Record]()
@@ -231,7 +217,7 @@ def growths(rows: list[Row]) -> list[Record]:
         own = [row for row in own if getattr(row, sweep) >= 0.9 * SMALLEST_FITTED[sweep]]
         if len(own) >= 2:
             sizes = np.log([getattr(row, sweep) for row in own])
-            record: Record = {"sweep": sweep, "setup": solver, "sizes": len(own)}
+            record: Record = {"sweep": sweep, "solver": solver, "sizes": len(own)}
             for name, field_name in (("time", "total_ms"), ("memory", "memory_peak_bytes")):
                 values = [max(getattr(row, field_name), 1e-9) for row in own]
                 record[f"{name}_exponent"] = float(np.polyfit(sizes, np.log(values), 1)[0])
@@ -240,15 +226,14 @@ def growths(rows: list[Row]) -> list[Record]:
 
 
 def _sweeps(rows: list[Row]) -> dict[tuple[str, str], list[Row]]:
-    """Rows of each sweep over sizes, by requested solver."""
-    completed = (r for r in rows if r.sweep in SMALLEST_FITTED and not r.error)
-    return groups(completed, "sweep", "requested_solver")
+    """Rows of each sweep over sizes, by solver."""
+    return groups((r for r in rows if r.sweep in SMALLEST_FITTED), "sweep", "solver")
 
 
 def targets(rows: list[Row]) -> list[Target]:
     """Targets, and whether each is met in this run."""
-    found, good = list[Target](), [row for row in rows if not row.error]
-    for row in good:
+    found = list[Target]()
+    for row in rows:
         if (row.sweep, row.setup) == ("stream", "default"):
             found.append(at_most("stream, median ms", row.total_ms, 8.0))
             found.append(at_most("stream, p95 ms", row.total_p95_ms, 16.0))
@@ -256,9 +241,9 @@ def targets(rows: list[Row]) -> list[Target]:
             found.append(at_most("contact, exact membrane, median ms", row.total_ms, CONTACT_MS))
     for growth in growths(rows):
         if growth["sweep"] == "nodes":
-            name = f"{growth['setup']}, exponent in nodes"
+            name = f"{growth['solver']}, exponent in nodes"
             found.append(at_most(name, growth["time_exponent"], 1.6))
-    images = [row for row in good if row.sweep == "pixels"]
+    images = [row for row in rows if row.sweep == "pixels"]
     small = [row.total_ms for row in images if 30_000 < row.pixels < 50_000]
     large = [row.total_ms for row in images if row.pixels > 900_000]
     if small and large:
@@ -267,7 +252,7 @@ def targets(rows: list[Row]) -> list[Target]:
 
 
 _COLUMNS = (
-    *(Column(name, name) for name in ("sweep", "setup", "nodes", "pixels", "error")),
+    *(Column(name, name) for name in ("sweep", "setup", "nodes", "pixels")),
     Column("build ms", "build_ms", ".1f"),
     Column("cold ms", "cold_ms", ".1f"),
     Column("median ms", "total_ms", ".1f"),
@@ -278,7 +263,7 @@ _COLUMNS = (
     Column("force err %", "force_error_relative_median", ".2f", 100),
 )
 _GROWTH = (
-    *(Column(name, name) for name in ("sweep", "setup", "sizes")),
+    *(Column(name, name) for name in ("sweep", "solver", "sizes")),
     Column("of time", "time_exponent", ".2f"),
     Column("of memory", "memory_exponent", ".2f"),
 )

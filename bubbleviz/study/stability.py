@@ -130,8 +130,8 @@ class Trial:
         frame = source[index]
         pressure = self.gas_pressure_pa
         if pressure == "true":
-            P0 = sensor.pneumatics.reference_pressure_pa
-            pressure = P0 + truth.gas_pressure_change_pa
+            rest_pa = sensor.pneumatics.reference_pressure_pa
+            pressure = rest_pa + truth.gas_pressure_change_pa
         depth = frame.depth_m if self.alter is None else self.alter(frame.depth_m)
         measured = None if pressure is None else float(pressure)
         return replace(frame, depth_m=depth, gas_pressure_pa=measured)
@@ -224,6 +224,7 @@ def report_of(results: Sequence[CaseResult]) -> Report:
 
 PSI = 6_894.757  # Pa (NIST SP 811)
 CHAMBER = "pneumatics.chamber_volume_m3"
+REST_PA = 101_325.0 + 2_585.5  # of the pico flexx sensor
 
 
 def all_cases() -> list[Case]:
@@ -319,12 +320,11 @@ def _contacts() -> Iterator[Case]:
 
 
 def _gas() -> Iterator[Case]:
-    P0 = 101_325.0 + 2_585.5
     yield Case("gas pressure measured, true", Trial(gas_pressure_pa="true"), "solve", quick=True)
-    yield Case("gas pressure measured, 250 Pa above rest", Trial(gas_pressure_pa=P0 + 250.0))
+    yield Case("gas pressure measured, 250 Pa above rest", Trial(gas_pressure_pa=REST_PA + 250.0))
     values = {
         "nan": np.nan, "inf": np.inf, "-inf": -np.inf, "0 Pa": 0.0, "-1e5 Pa": -1e5,
-        "1e9 Pa": 1e9, "1 Pa": 1.0, "in kPa": 1e-3 * P0, "doubled": 2.0 * P0,
+        "1e9 Pa": 1e9, "1 Pa": 1.0, "in kPa": 1e-3 * REST_PA, "doubled": 2.0 * REST_PA,
     }  # fmt: skip
     for name, value in values.items():
         quick = name in ("nan", "1e9 Pa")
@@ -508,9 +508,8 @@ def _rubber_views() -> Iterator[Case]:
         trial = _rubber_trial(noise=DepthNoise(absolute_m=1e-3 * mm))
         yield Case(f"rubber, noise {mm:g} mm", trial)
     yield Case("rubber, gas measured", _rubber_trial(gas_pressure_pa="true"), "solve")
-    P0 = 101_325.0 + 2_585.5
     for off in (-250.0, 250.0):
-        wrong = _rubber_trial(gas_pressure_pa=P0 + off)
+        wrong = _rubber_trial(gas_pressure_pa=REST_PA + off)
         yield Case(f"rubber, gas measured {off:g} Pa over rest", wrong)
     nonsense = _rubber_trial(alter=lambda d: 1e3 * d, known=False)
     yield Case("rubber, depth millimetres for metres", nonsense, "refuse")

@@ -28,7 +28,7 @@ def ladder(dome):
 def test_a_press_of_a_millimetre_is_found_and_noise_is_not(setup, dome, ladder):
     pipeline = setup.pipeline(dome.model(ONE))
     alarm = Alarm(pipeline, ONE, False, GRID)
-    force = np.linalg.norm(ladder.truth(STEP).contact.nodal_force_n.sum(axis=0))
+    force = np.linalg.norm(ladder.press(STEP).truth.force_n)
     assert 0.16 < force < 0.22
     assert (alarm.forces(ladder, STEP) > 0.0).all()  # of three times the threshold: in none
     assert not alarm.forces(ladder, None).any()
