@@ -1,4 +1,4 @@
-"""Live sources that replay a recording, simulate a sensor, or take frames from a plug-in."""
+"""Live sources that replay a recording, or take frames from a plug-in or a simulation."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,78 +121,13 @@ def _as_ros2(payload: bytes, kind: str) -> bytes:
         return payload
 
 
-# The simulated sensor as a live source.
-
-
-_PREPARED = 0.5
-"""Sending begins once the other frames are simulated in this share of the time until they are due,
-at the usual pace so far: contact takes longer than rest, and solver and window run meanwhile."""
-
-
-class SyntheticLive(LiveSource):
-    """Streams the frames of a simulation in a loop, stamped with the current time.
-
-    Each frame is encoded once; its messages are cached and get new stamps in every round.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        make: Callable[[], FrameSource],  # makes the simulation, in the source's thread
-        rate_hz: float,  # frames a second
-        *,
-        # simulate as many frames before the first one is sent as make the first round smooth; else
-        # frames may be late
-        ahead: bool = True,
-        messages: FrameMessages | None = None,  # how frames become messages
-    ) -> None:
-        super().__init__(name)
-        self._make, self._rate, self._ahead = make, rate_hz, ahead
-        self.preparing = "simulating the first images"
-        self._messages = messages or FrameMessages()
-
-    def _run(self, deliver: Deliver) -> None:
-        simulation = self._make()
-        pool = ThreadPoolExecutor(1, "simulation")
-        try:
-            count, done_s = len(simulation), [time.monotonic()]
-
-            def simulated(k: int) -> list[Message]:
-                messages = list(self._messages.of(simulation[k]))
-                done_s.append(time.monotonic())  # here: who waits for it may be late
-                return messages
-
-            images = [pool.submit(simulated, k) for k in range(count)]
-            for done, image in enumerate(images, 1):
-                self.preparing = f"simulating the first images, {done} of {count}"
-                image.result()
-                left_s = float(np.median(np.diff(done_s[-100:]))) * (count - done)
-                if not self._ahead or left_s < _PREPARED * count / self._rate:
-                    break
-                if self._stopped.is_set():
-                    return
-            self.topics = tuple(OfferedTopic(m.topic, m.type) for m in images[0].result())
-            self.link = "up"
-            start, epoch, sent = time.monotonic(), time.time_ns(), 0
-            while self._wait_until(start + sent / self._rate):
-                messages = images[sent % count].result()
-                later_ns = epoch + round(sent / self._rate * 1e9) - messages[-1].stamp_ns
-                for message in messages:
-                    now = message.later(later_ns)
-                    deliver(now._replace(arrival_ns=time.time_ns(), sequence=sent))
-                sent += 1
-        finally:
-            pool.shutdown(cancel_futures=True)
-            simulation.close()
-
-
-# Frames of a plug-in as a live source.
+# Frames as a live source: of a plug-in, or of a simulated sensor.
 
 
 class FramesLive(LiveSource):
     """Streams frames as they come; those without a stamp get the time of their arrival."""
 
-    closing_s = 2.0  # chosen: the thread may be waiting for the next frame
+    closing_s: float | None = 2.0  # chosen: the thread may be waiting for the next frame
 
     def __init__(
         self,
@@ -206,9 +142,64 @@ class FramesLive(LiveSource):
         for sent, frame in enumerate(self._make()):
             if self._stopped.is_set():
                 return
-            now = time.time_ns()
-            messages = list(self._messages.of(frame, frame.stamp_ns or now))
+            messages = list(self._messages.of(frame, frame.stamp_ns or time.time_ns()))
             self.topics = tuple(OfferedTopic(m.topic, m.type) for m in messages)
             self.link = "up"
             for message in messages:
-                deliver(message._replace(arrival_ns=now, sequence=sent))
+                deliver(message._replace(arrival_ns=time.time_ns(), sequence=sent))
+
+
+_PREPARED = 0.5
+"""Sending begins once the other frames are simulated in this share of the time until they are due,
+at the usual pace so far: contact takes longer than rest, and solver and window run meanwhile."""
+
+
+class SyntheticLive(FramesLive):
+    """Streams the frames of a simulation in a loop, stamped with the current time."""
+
+    closing_s = None
+
+    def __init__(
+        self,
+        name: str,
+        simulate: Callable[[], FrameSource],  # makes the simulation, in the source's thread
+        rate_hz: float,  # frames a second
+        *,
+        # simulate as many frames before the first one is sent as make the first round smooth; else
+        # frames may be late
+        ahead: bool = True,
+        messages: FrameMessages | None = None,  # how frames become messages
+    ) -> None:
+        super().__init__(name, self._frames, messages or FrameMessages())
+        self._simulate, self._rate, self._ahead = simulate, rate_hz, ahead
+        self.preparing = "simulating the first images"
+
+    def _frames(self) -> Iterator[Frame]:
+        """Frames when they are due, each simulated once, until the source is stopped."""
+        simulation = self._simulate()
+        pool = ThreadPoolExecutor(1, "simulation")
+        try:
+            count, done_s = len(simulation), [time.monotonic()]
+
+            def simulated(k: int) -> Frame:
+                frame = simulation[k]
+                done_s.append(time.monotonic())  # here: who waits for it may be late
+                return frame
+
+            images = [pool.submit(simulated, k) for k in range(count)]
+            for done, image in enumerate(images, 1):
+                self.preparing = f"simulating the first images, {done} of {count}"
+                image.result()
+                left_s = float(np.median(np.diff(done_s[-100:]))) * (count - done)
+                if not self._ahead or left_s < _PREPARED * count / self._rate:
+                    break
+                if self._stopped.is_set():
+                    return
+            start, epoch, sent = time.monotonic(), time.time_ns(), 0
+            while self._wait_until(start + sent / self._rate):
+                stamp_ns = epoch + round(sent / self._rate * 1e9)
+                yield replace(images[sent % count].result(), stamp_ns=stamp_ns)
+                sent += 1
+        finally:
+            pool.shutdown(cancel_futures=True)
+            simulation.close()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from typing import Any, Literal, NamedTuple
 
@@ -14,7 +13,6 @@ from bubbleviz.recordings.bag import typestore
 from bubbleviz.recordings.colour_topics import STATIC_TRANSFORMS, TRANSFORMS
 from bubbleviz.recordings.depth_topics import CAMERA_INFO, COMPRESSED_IMAGE, IMAGE, PRESSURE, WRENCH
 from bubbleviz.recordings.frame import Frame
-from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, header_stamp_ns
 
 Encoding = Literal["32FC1", "16UC1"]
 
@@ -43,18 +41,6 @@ class Message(NamedTuple):
     sequence: int | None = None  # the publisher's own count, where the transport has one
     # how often the source restarted: the stamps of a looped replay go back
     round: int = 0
-
-    def later(self, later_ns: int) -> Message:
-        """The same message, stamped later.
-
-        Also in its bytes, if they begin with the stamp; static transforms do not change.
-        """
-        old, stamp_ns = self.payload, self.stamp_ns + later_ns
-        if header_stamp_ns(old, ros1=False) != self.stamp_ns:
-            return self._replace(stamp_ns=stamp_ns)
-        stamp = struct.pack("<iI", *divmod(min(stamp_ns, MAX_STAMP_NS), 1_000_000_000))
-        payload = b"".join((old[:4], stamp, memoryview(old)[12:]))
-        return self._replace(payload=payload, stamp_ns=stamp_ns)
 
 
 def ros2_types() -> Any:
