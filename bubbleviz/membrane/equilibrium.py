@@ -47,11 +47,6 @@ class RubberContact(Contact):
     # stored in membrane and gas since the reference configuration: the work of the object, less the
     # dissipation by friction
     energy_j: float
-    rim_force_n: np.ndarray  # (3,), of the rim on the membrane, N
-    # (3,), of the gas on it: gauge pressure times the area vector of the rim's opening, N
-    gas_force_n: np.ndarray
-    # (3,), resultant of f_rest, which balances the residual forces of the reference surface, N
-    rest_force_n: np.ndarray
     stable: bool  # the energy is at a minimum; with friction: no pivot of the tangent is negative
     # (n,), slip of each touching node over the object since the previous contact, m, 0 for other
     # nodes; NaN without friction
@@ -60,12 +55,6 @@ class RubberContact(Contact):
     # largest |t| of a node over μ times its load, less 1; 0 where none is above
     cone_violation: float = 0.0
     dissipated_j: float = 0.0  # by slip since the previous contact, J
-
-    @property
-    def force_balance_n(self) -> float:
-        """Residual of the sum of the forces of contact, rim, gas and f_rest, N."""
-        held = self.rim_force_n + self.gas_force_n + self.rest_force_n
-        return float(np.linalg.norm(self.nodal_force_n.sum(axis=0) + held))
 
 
 @dataclass(frozen=True)
@@ -380,10 +369,7 @@ class Equilibrium:
         x, load = state.x, state.load
         pressure, _ = self.gas_at(x)
         displacement = x - mesh.nodes
-        from_gas = pressure * membrane.volume_gradient(x)
         moving = np.isin(np.arange(len(x)), membrane.moving)
-        held = membrane.force(x) - from_gas
-        sprung = membrane.rim_springs[:, None] * displacement
         contact_pressure = load / replace(mesh, nodes=x).areas
         gap = np.where(np.isfinite(planes.gap), planes.gap, 0.0)
         if rim_penetration_m is None:
@@ -408,9 +394,6 @@ class Equilibrium:
             iterations=solved.factorisations,
             converged=solved.accepted,
             energy_j=self.energy(x) - self.energy(mesh.nodes),
-            rim_force_n=np.where(moving[:, None], -sprung, held)[mesh.rim].sum(axis=0),
-            gas_force_n=from_gas.sum(axis=0),
-            rest_force_n=membrane.rest_force[moving].sum(axis=0),
             stable=solved.stable,
             slip_m=np.full(len(x), np.nan),
             stick_error_m=off,

@@ -34,6 +34,13 @@ def force(contact):
     return -contact.nodal_force_n.sum(axis=0)[2]
 
 
+def unbalanced_n(membrane, contact):
+    """Sum of the forces of contact, gas, springs and f_rest on the nodes that move, (3,), N."""
+    x = membrane.mesh.nodes + contact.displacement_3d_m
+    gauge = membrane.gauge_pressure_pa + contact.gas_pressure_change_pa
+    return (contact.nodal_force_n - membrane.residual(x, gauge))[membrane.moving].sum(axis=0)
+
+
 def plate(half=0.2, thickness=0.01):
     x = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     corners = np.vstack([np.c_[x, np.zeros(4)], np.c_[x, np.full(4, thickness)]])
