@@ -17,7 +17,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear import FlowPreset, OpticalFlow
-from bubbleviz.simulation import PrintedMembrane, Speckle
+from bubbleviz.simulation import PrintedMembrane
 from bubbleviz.study.harness import Case, Column, Report, Study, Table, at_most
 from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import Motion, ShearTruth, StuckPress, pressed, shear_sensor
@@ -70,7 +70,7 @@ def _slip(grid: ShearGrid, depth_m: float) -> list[SlipTrial]:
         ]
         depths, flows = [each.depth_m for each in seen], [each.flow for each in seen]
         trials.append(_trial(model, radius_m, EXACT, depths, flows))
-    printed = PrintedMembrane(Speckle(seed=grid.seed), MembraneView(model.camera, truths[0].mesh))
+    printed = PrintedMembrane(MembraneView(model.camera, truths[0].mesh), grid.seed)
     still = np.zeros(len(truths[0].mesh.nodes))
     rest = [printed.image(still, k) for k in range(_AT_REST)]
     images = [printed.image(t.displacement_m, _AT_REST + k) for k, t in enumerate(truths)]

@@ -23,7 +23,6 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.simulation import (
     DepthNoise,
     Model,
-    Speckle,
     SyntheticSource,
     Truth,
     press_path,
@@ -210,7 +209,7 @@ def simulate(
             times_s=times,
             model=model,
             friction=friction,
-            texture=Speckle(seed=seed) if texture else None,
+            texture=texture,
         )
     return Simulation(source)
 

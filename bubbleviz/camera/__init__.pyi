@@ -13,7 +13,6 @@ from .flow_observer import (
     FlowObserver as FlowObserver,
     MeasuredFlow as MeasuredFlow,
     PinnedPoints as PinnedPoints,
-    ShapeFlow as ShapeFlow,
 )
 from .image_change import ImageChange as ImageChange
 from .image_errors import (
@@ -37,7 +36,6 @@ from .observer import (
     ShapeRanges as ShapeRanges,
     facet_error as facet_error,
     median as median,
-    sagittas as sagittas,
 )
 from .pixel_model import (
     PixelModel as PixelModel,

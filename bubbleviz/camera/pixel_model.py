@@ -67,19 +67,6 @@ class PixelModel:
     # number of pixels excluded by each reason; the first that applies counts
     removed: dict[str, int] = field(default_factory=dict)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """What a pickle has: images from a pixels file in half precision, as there."""
-        state = dict(vars(self))
-        for name in ("bias_m", "noise_m"):
-            half = state[name].astype(np.float16)
-            if np.array_equal(half, state[name], equal_nan=True):
-                state[name] = half
-        return state
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        halved = {n: v for n, v in state.items() if getattr(v, "dtype", None) == np.float16}
-        vars(self).update(state, **{name: image.astype(float) for name, image in halved.items()})
-
     def save(self, path: Path) -> None:
         """Write a pixels file, a compressed NPZ of half-precision images; `load` reads it."""
         images: dict[str, Any] = {"mask": self.mask}

@@ -29,8 +29,8 @@ from .presses import (
     touching_height as touching_height,
 )
 from .printed_speckle import (
+    GREY_NOISE as GREY_NOISE,
     PrintedMembrane as PrintedMembrane,
-    Speckle as Speckle,
 )
 from .rubber_truth import (
     EDGE_RADIUS_M as EDGE_RADIUS_M,
@@ -52,7 +52,6 @@ from .synthetic_source import (
     Truth as Truth,
     default_path as default_path,
     default_press as default_press,
-    dome_size as dome_size,
     simulation_mesh as simulation_mesh,
     truth_of as truth_of,
 )

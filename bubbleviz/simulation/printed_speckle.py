@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -17,14 +16,7 @@ _DARK, _BRIGHT, _EDGE = 60.0, 190.0, 3.0  # grey levels of ink and paper, steepn
 _BACKGROUND = 100.0  # grey level beside the membrane
 _BLOT_PX = 8.0  # size of a blot at the centre of the membrane; as on the real sensor
 _NOISE_STREAM = 3  # random stream of the seed, after those of `DepthNoise`
-
-
-@dataclass(frozen=True)
-class Speckle:
-    """Parameters of the printed speckle and of its images."""
-
-    noise: float = 2.0  # σ of the grey levels (0 … 255)
-    seed: int = 0  # of pattern and noise
+GREY_NOISE = 2.0  # σ of the grey levels (0 … 255)
 
 
 class PrintedMembrane:
@@ -35,10 +27,11 @@ class PrintedMembrane:
 
     def __init__(
         self,
-        speckle: Speckle,
         view: MembraneView,  # of the printed mesh at rest
+        seed: int = 0,  # of pattern and noise
+        noise: float = GREY_NOISE,
     ) -> None:
-        self._speckle, self._view = speckle, view
+        self._view, self._seed, self._sigma = view, seed, noise
         middle_m = np.linalg.norm(view.mesh.nodes.mean(axis=0) - view.camera.center)
         self._blot_m = _BLOT_PX * middle_m / view.camera.intrinsics.fx
 
@@ -58,8 +51,8 @@ class PrintedMembrane:
         grey *= 0.5 + 0.5 * np.clip(facing, 0.0, 1.0)
         image = np.full(self._view.shape, _BACKGROUND)
         image.ravel()[hits.ray] = grey
-        random = np.random.default_rng([self._speckle.seed, index, _NOISE_STREAM])
-        image += self._speckle.noise * random.standard_normal(image.shape)
+        random = np.random.default_rng([self._seed, index, _NOISE_STREAM])
+        image += self._sigma * random.standard_normal(image.shape)
         return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
     def grey(self, points_m: np.ndarray) -> np.ndarray:
@@ -71,7 +64,7 @@ class PrintedMembrane:
     @cached_property
     def _noise(self) -> np.ndarray:
         """Smooth periodic noise in a cube, of unit variance, float32."""
-        random = np.random.default_rng(self._speckle.seed)
+        random = np.random.default_rng(self._seed)
         white = random.standard_normal((_VOXELS,) * 3).astype(np.float32)
         smooth = ndimage.gaussian_filter(white, 0.4 * _VOXELS_PER_BLOT, mode="wrap")
         return np.asarray(smooth / smooth.std())

@@ -36,7 +36,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
-from bubbleviz.simulation.printed_speckle import PrintedMembrane, Speckle
+from bubbleviz.simulation.printed_speckle import PrintedMembrane
 
 SLIP_M = 1e-6  # motion over the object between two frames beyond which a node counts as slipping
 
@@ -174,7 +174,7 @@ class SyntheticSource:
         model: Model | None = None,
         # Coulomb's μ between object and exact membrane; frames then depend on earlier ones
         friction: float = 0.0,
-        texture: Speckle | None = None,  # printed on the membrane, for colour images
+        texture: bool = False,  # whether a speckle is printed on the membrane, for colour images
     ) -> None:
         own = sensor if isinstance(sensor, SensorModel) else SensorModel.of(sensor)
         self.sensor = sensor = own.sensor
@@ -207,7 +207,7 @@ class SyntheticSource:
         self._past: list[Contact] = []
         self._path: Iterator[Contact] | None = None
         self._view = MembraneView(self.camera, self.mesh)
-        self._printed = None if texture is None else PrintedMembrane(texture, self._view)
+        self._printed = PrintedMembrane(self._view, seed) if texture else None
         self._solved = lru_cache(maxsize=300)(self._solve)
 
     def __len__(self) -> int:

@@ -19,7 +19,6 @@ from bubbleviz.processes import check_cluster
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import changed, with_colour_delay
-from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear import OpticalFlow
 from bubbleviz.simulation import SyntheticSource
 from tests.program import output_of, python
@@ -282,11 +281,6 @@ def test_pickled_run_omits_what_can_be_recomputed(estimated):
     assert got.status.tolist() == estimated.status.tolist()
     np.testing.assert_array_equal(got[2].force_n, estimated[2].force_n)
     np.testing.assert_array_equal(got[2].pixel_mask, mask)
-
-
-def test_a_calibration_of_every_pixel_travels_as_in_its_file():
-    model = SensorModel.of(bv.load_sensor("punyo_oval_d405"))
-    assert len(pickle.dumps(model)) < 2.5e6  # 640×480 pixels: 5.5 MB in double precision
 
 
 def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):

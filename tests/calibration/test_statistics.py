@@ -1,7 +1,5 @@
 """Depth statistics, correlation, rim height and pixel files on synthetic data."""
 
-import pickle
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -193,12 +191,6 @@ def test_pixels_file_round_trip_and_refusal(tmp_path):
     np.testing.assert_allclose(back.bias_m, bias, atol=1e-6)
     np.testing.assert_allclose(back.noise_m, noise, atol=1e-6)
     assert back.correlated_pixels == pytest.approx(7.5)
-    for model in (back, PixelModel(mask, bias * np.pi, np.ones((4, 6)))):  # to another process
-        sent = pickle.loads(pickle.dumps(model))
-        for name in ("mask", "bias_m", "noise_m"):
-            own, other = getattr(model, name), getattr(sent, name)
-            assert own.dtype == other.dtype
-            np.testing.assert_array_equal(own, other)
     (tmp_path / "bad.npz").write_bytes(b"nonsense")
     with pytest.raises(InputError, match=r"bad\.npz: the pixels file cannot be read"):
         PixelModel.load(tmp_path / "bad.npz")

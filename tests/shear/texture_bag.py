@@ -7,7 +7,7 @@ import numpy as np
 from bubbleviz.camera import MembraneView
 from bubbleviz.sensor import sensor_to_toml
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import PrintedMembrane, Speckle
+from bubbleviz.simulation import GREY_NOISE, PrintedMembrane
 from tests.colour.colour_bag import add_compressed, encoded
 from tests.recordings.bagmaker import PERIOD, START, BagMaker
 from tests.shear.drag import NOISE, sensor, stuck
@@ -27,7 +27,7 @@ def view():
 def clean(share):
     """Ranges, m, and grey image of the membrane displaced by a share of the press, noise-free."""
     moved_m = share * stuck(*PRESS).displacement_m
-    printed = PrintedMembrane(Speckle(noise=0.0), view())
+    printed = PrintedMembrane(view(), noise=0.0)
     return view().range_image(moved_m), printed.image(moved_m, 0)
 
 
@@ -37,7 +37,7 @@ def image(k):
     share = float(np.clip((k - TOUCHED + 1) / (HELD - TOUCHED), 0.0, 1.0))
     ranges, grey = clean(share)
     depth = NOISE.depth_image(view().camera, ranges, 0, k)
-    noise = np.random.default_rng(k).normal(0.0, Speckle().noise, grey.shape)
+    noise = np.random.default_rng(k).normal(0.0, GREY_NOISE, grey.shape)
     return depth, np.clip(np.rint(grey + noise), 0, 255).astype(np.uint8)
 
 

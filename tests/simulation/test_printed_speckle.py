@@ -12,7 +12,7 @@ from bubbleviz.membrane import build_mesh
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz.simulation import PrintedMembrane, Speckle, SyntheticSource
+from bubbleviz.simulation import PrintedMembrane, SyntheticSource
 
 WIDTH, HEIGHT, REST = 320, 240, 8
 
@@ -54,7 +54,7 @@ def test_flow_finds_the_motion_of_the_material(view, far_m):
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
     from bubbleviz.shear import OpticalFlow
 
-    printed, at_rest = PrintedMembrane(Speckle(seed=3), view), np.zeros_like(view.mesh.nodes)
+    printed, at_rest = PrintedMembrane(view, seed=3), np.zeros_like(view.mesh.nodes)
     seen = np.isfinite(view.range_image(at_rest))
     flow = OpticalFlow.of([printed.image(at_rest, k) for k in range(REST)], "fine", seen)
     moved_m = dragged(view, far_m)
@@ -71,7 +71,7 @@ def test_flow_finds_the_motion_of_the_material(view, far_m):
 def test_light_and_noise_of_the_images(view):
     """Bright where the membrane faces the camera, dark at its rim."""
     at_rest = np.zeros_like(view.mesh.nodes)
-    clean, noisy = (PrintedMembrane(Speckle(noise=sigma), view) for sigma in (0.0, 4.0))
+    clean, noisy = (PrintedMembrane(view, noise=sigma) for sigma in (0.0, 4.0))
     grey, seen = clean.image(at_rest, 0).astype(float), np.isfinite(view.range_image(at_rest))
     assert grey[seen].min() < 70 < 180 < grey[seen].max()
     assert np.mean(grey[80:160, 120:200]) > 1.1 * np.mean(grey[seen])
@@ -83,7 +83,7 @@ def test_light_and_noise_of_the_images(view):
 
 def test_a_simulated_recording_has_the_images(sensor, tmp_path):
     poses = np.array([parse_pose(f"0.005 0 {z} 0 0 0 1") for z in (0.060, 0.044)])
-    source = SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, texture=Speckle())
+    source = SyntheticSource(load_sensor(sensor), load_object("cylinder"), poses, texture=True)
     Simulation(source).save(tmp_path / "rec.mcap")
     with Recording(tmp_path / "rec.mcap") as recording:
         for k in range(2):
