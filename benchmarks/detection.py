@@ -16,7 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.inverse import GAS_NOISE
-from bubbleviz.membrane import refine
+from bubbleviz.membrane import refinement
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.sensor import Sensor
@@ -145,7 +145,9 @@ class Ladder:
         self._at, self._normal = mesh.nodes[node], mesh.normals[node]
         for share in _FINER:
             middles = mesh.nodes[mesh.triangles].mean(axis=1)
-            mesh = refine(mesh, np.linalg.norm(middles - self._at, axis=1) < share * radius)
+            mesh = refinement(
+                mesh, np.linalg.norm(middles - self._at, axis=1) < share * radius
+            ).mesh
         self._presses = replace(presses, mesh=mesh)
         self._object = study_object(grid.object_name)
         self._pressed: dict[int, SimulatedPress] = {}

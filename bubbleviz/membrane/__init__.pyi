@@ -39,7 +39,6 @@ from .meshing import (
     membrane_from_triangles as membrane_from_triangles,
     mesh_cap as mesh_cap,
     midway as midway,
-    refine as refine,
     refined_part as refined_part,
     refinement as refinement,
     spherical_cap as spherical_cap,

@@ -304,11 +304,6 @@ def refined_part(mesh: MembraneMesh, inside: np.ndarray, chosen: np.ndarray) -> 
     return Refined(finer.mesh, nodes[finer.ends], triangles[finer.parent])
 
 
-def refine(mesh: MembraneMesh, chosen: np.ndarray | None = None) -> MembraneMesh:
-    """Triangles cut into four at the middles of their edges; see `refinement`."""
-    return refinement(mesh, chosen).mesh
-
-
 def refinement(
     mesh: MembraneMesh,
     # (m,) bool, triangles to cut, all by default. A neighbour with one edge cut is halved, one with

@@ -22,7 +22,7 @@ from bubbleviz.membrane import (
     build_mesh,
     build_rubber,
     checked_friction,
-    refine,
+    refinement,
 )
 from bubbleviz.recordings import (
     ColourAround,
@@ -292,7 +292,7 @@ def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMes
     """Mesh of a simulation: a fine mesh of an analytic surface, or a refined mesh file."""
     membrane = model.sensor.membrane
     if membrane.shape == "mesh":
-        return refine(model.mesh)
+        return refinement(model.mesh).mesh
     return build_mesh(model.sensor, NODE_RATIO * membrane.nodes if nodes is None else nodes)
 
 

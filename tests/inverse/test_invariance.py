@@ -8,7 +8,7 @@ import pytest
 from benchmarks import membranes
 from bubbleviz.errors import SolveError
 from bubbleviz.inverse import RIM_SLACK_M, RUBBER, EstimatorOptions
-from bubbleviz.membrane import refine
+from bubbleviz.membrane import refinement
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
@@ -27,7 +27,7 @@ def finer(model):
     if model.sensor.membrane.shape == "spherical_cap":
         fine = SensorModel.of(model.sensor, nodes=4 * len(model.mesh.nodes)).mesh
         return replace(model, mesh=fine)
-    return replace(model, mesh=refine(model.mesh))
+    return replace(model, mesh=refinement(model.mesh).mesh)
 
 
 def variants(model):

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.errors import SolveError
-from bubbleviz.membrane import Gas, MembraneMesh, RubberForward, RubberMembrane, refine
+from bubbleviz.membrane import Gas, MembraneMesh, RubberForward, RubberMembrane, refinement
 from bubbleviz.simulation import press_path, study_object, touching_height
 from tests.oracles.stuck_press import ShearTruth
 
@@ -77,7 +77,7 @@ def dragged_truths(
         touching = forward.press(obj, deepest, quick=True).contact_pressure_pa > 0.0
         cut = touching[mesh.triangles].any(axis=1)
         around = np.isin(np.arange(len(mesh.nodes)), mesh.triangles[cut])
-        mesh = refine(mesh, around[mesh.triangles].any(axis=1))
+        mesh = refinement(mesh, around[mesh.triangles].any(axis=1)).mesh
     model = RubberForward(rubber_on(mesh), gas_on(mesh))
     slipped = np.zeros(len(mesh.nodes))
     for pose, contact in zip(poses, model.follow(obj, poses, press.friction), strict=False):

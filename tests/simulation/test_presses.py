@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.edge import EDGE_OBJECTS
-from bubbleviz.membrane import TriangleScene, refine
+from bubbleviz.membrane import TriangleScene, refinement
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import (
@@ -117,7 +117,9 @@ def test_another_mesh_of_an_inflated_sheet_is_on_its_surface(kind, sheets):
     assert len(other.nodes) < 0.2 * len(rest.nodes)
     away = TriangleScene(rest.nodes, rest.triangles).closest(other.nodes).point - other.nodes
     assert np.linalg.norm(away[~other.rim], axis=1).max() < 1e-6
-    fine = rubber_on(sheet, refine(rest, rest.nodes[rest.triangles].mean(axis=1)[:, 0] > 0.03))
+    fine = rubber_on(
+        sheet, refinement(rest, rest.nodes[rest.triangles].mean(axis=1)[:, 0] > 0.03).mesh
+    )
     moved = TriangleScene(rest.nodes, rest.triangles).closest(fine.mesh.nodes).point
     assert np.linalg.norm(moved - fine.mesh.nodes, axis=1).max() < 5e-5
     load = sheet.gauge_pressure_pa * fine.mesh.areas.mean()
