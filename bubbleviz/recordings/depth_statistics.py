@@ -81,7 +81,10 @@ def spatial_correlation(
     sigma: np.ndarray,  # (H, W), spread of the same deviations, m
     stride: int = 1,  # use every n-th frame (neighbours in time are redundant)
 ) -> np.ndarray:
-    """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns."""
+    """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns.
+
+    About the mean of the frame: an image that drifts as a whole does not correlate its pixels.
+    """
     reach = min(_REACH_PX, min(sigma.shape) // 2)
     rows, columns = (slice(None, None, max(1, size // _LINES)) for size in sigma.shape)
 
@@ -90,6 +93,7 @@ def spatial_correlation(
         for axis, lines in enumerate(((slice(None), columns), (rows, slice(None)))):
             noise = _standardised(image[lines], sigma[lines])
             used = np.isfinite(noise)
+            noise -= np.mean(noise, where=used) if used.any() else 0.0
             both = np.where(used, noise, np.float32(0.0)), used.astype(np.float32)
             total += [_lagged_products(each, axis, reach) for each in both]
         return total

@@ -59,11 +59,16 @@ def test_white_noise_has_no_spatial_correlation():
     assert mean_inflation(found.temporal_correlation) < 1.2
 
 
-def test_spatial_correlation_and_length_of_a_camera_filter():
-    """White noise blurred with σ = 2 px: exp(−d²/4σ²), which is 1/e at 4 px."""
+@pytest.mark.parametrize("drift_m", [0.0, 2e-4])
+def test_spatial_correlation_and_length_of_a_camera_filter(drift_m):
+    """White noise blurred with σ = 2 px: exp(−d²/4σ²), which is 1/e at 4 px.
+
+    A drift of the whole image is no correlation of its pixels.
+    """
     rng = np.random.default_rng(0)
     blurred = gaussian_filter(rng.standard_normal((40, 80, 100)), (0.0, 2.0, 2.0), mode="wrap")
-    depth = (0.08 + 5e-5 * blurred / blurred.std()).astype(np.float32)
+    whole = np.linspace(-drift_m, drift_m, 40)[:, None, None]
+    depth = (0.08 + whole + 5e-5 * blurred / blurred.std()).astype(np.float32)
     found = measure_depth(depth, np.ones((80, 100), np.float32))
     distance = np.arange(len(found.spatial_correlation))
     expected = np.exp(-(distance**2) / 16.0)
