@@ -21,13 +21,15 @@ _MIN_DENT_DEPTH = 1e-2  # of the dome's radius: shallower deviations belong to t
 
 def check_dome(
     samples: FrameSamples,
-    cap: Ellipsoid,  # fitted to their mean, in B
+    # cap fitted to their mean, and mesh of the chosen surface, in B
+    cap: Ellipsoid,
+    mesh: MembraneMesh,
     camera: DepthCamera,
     membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane
 ) -> float:
     """Visible share of the dome. Raises InputError: it is pressed in, or less than half visible."""
     filled = ndimage.binary_fill_holes(_closed(membrane))
-    visible = _visible_share(cap.fine_mesh, camera, filled)
+    visible = _visible_share(mesh, camera, filled)
     if visible < _MIN_VISIBLE_SHARE:
         raise InputError(
             f"{samples.source_name}: only {100 * visible:.0f} % of the dome is visible, too little "
@@ -39,7 +41,7 @@ def check_dome(
 
 
 def _visible_share(
-    mesh: MembraneMesh,  # the fitted dome above the rim plane, in B
+    mesh: MembraneMesh,
     camera: DepthCamera,
     filled: np.ndarray,  # (H, W) bool, pixels that see the membrane, and holes between them
 ) -> float:

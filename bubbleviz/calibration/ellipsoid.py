@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import EllipsoidalCap, MembraneMesh, mesh_cap
+from bubbleviz.membrane import EllipsoidalCap
 from bubbleviz.recordings import robust_sigma, tukey_weights
 
 _LARGEST_STEP = 0.1  # of the smallest semi-axis: farther away the linearisation is of no use
 Weights = Callable[[np.ndarray, float], np.ndarray]
 """Of residuals and their standard deviation."""
 
-_FINE_NODES = 2_000  # of a mesh to integrate over: edges of some 2 mm
 _COARSE_POINTS = 5_000  # for all fits but the last, which uses every point
 _STEPS, _TOLERANCE = 30, 1e-3  # the latter over σ, a tenth of the noise of 10⁴ points' mean
 
@@ -69,23 +67,6 @@ class Ellipsoid:
             )
         at_rim = float(np.sqrt(1.0 - centre_height**2))
         return EllipsoidalCap.of((ax * at_rim, ay * at_rim), c * (1.0 + centre_height), c)
-
-    @cached_property
-    def fine_mesh(self) -> MembraneMesh:
-        """Fine mesh of the part above the rim plane, for integrals over it."""
-        mesh = mesh_cap(self.cap_above_rim, _FINE_NODES)
-        return replace(mesh, nodes=mesh.nodes + self.centre_m * (1.0, 1.0, 0.0))
-
-    def curvature(self, points: np.ndarray) -> np.ndarray:
-        """κ1 + κ2 in 1/m where lines from the centre through points (k, 3) meet the surface.
-
-        2H = (Σa² − Σx²) / (Πa² (Σx²/a⁴)^{3/2}) (Gray, Modern Differential Geometry, 3rd ed., 13.5).
-        """
-        a = self.semi_axes_m
-        local = points - self.centre_m
-        local = local / np.linalg.norm(local / a, axis=1, keepdims=True)
-        q = np.sum(local**2 / a**4, axis=1)
-        return (np.sum(a**2) - np.sum(local**2, axis=1)) / (np.prod(a**2) * q**1.5)
 
     def _scaled(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points divided by the semi-axes a, |x/a| (1 on the surface) and |x/a²| in 1/m."""

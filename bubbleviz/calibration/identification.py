@@ -110,11 +110,6 @@ class Identification:
         return {name: self.gauge.value * tension for name, tension in every}
 
     @property
-    def least_squares_n_per_m(self) -> float:
-        """γ0 by least squares over the nodes, N/m."""
-        return self.gauge.value * self.surfaces.least_squares_m
-
-    @property
     def contradicts_file(self) -> bool:
         """Whether gauge pressures from shapes and file differ by more than their intervals."""
         if self.gauge_candidates is None:

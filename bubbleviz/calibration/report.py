@@ -164,7 +164,6 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "tension_n_per_m": asdict(found.tension.possible()),
         "tension_parts_n_per_m": found.tension_parts,
         "tension_by_surface_n_per_m": found.tension_by_surface,
-        "tension_least_squares_n_per_m": found.least_squares_n_per_m,
         "tension_per_pascal_m": surfaces.tension_m.value,
         "validation": _validation(found),
         "rectification": _rectification(found),

@@ -9,7 +9,6 @@ smaller by more than three standard errors, and by more than the error of the fl
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -33,7 +32,6 @@ from bubbleviz.membrane import (
     Prestress,
     as_flat_sheet,
     balance_tension,
-    least_squares_tension,
     mesh_cap,
 )
 from bubbleviz.progress import Progress, quiet
@@ -88,9 +86,6 @@ class Surfaces:
     # flat sheet)
     tension_parts_m: dict[str, float] = NOT_YET
     tension_by_surface_m: dict[SurfaceName, float] = NOT_YET  # under 1 Pa, of every surface
-    # under 1 Pa by least squares over the nodes of the mesh instead of the overall balance; smaller
-    # where the mean curvature varies, so that no uniform tension fits
-    least_squares_m: float = NOT_YET
     # `height_m`, and `radius_m` and `rim_radius_m` of a sphere or `semi_axis_x_m` … and
     # `rim_semi_axis_x_m` … of an ellipsoid, m
     dimensions: dict[str, Quantity] = NOT_YET
@@ -178,7 +173,7 @@ def fit_surfaces(
         chosen=chosen,
         mesh=mesh,
         residual_m=statistics.range_m - MembraneView(camera, mesh).rest_range,
-        visible_share=check_dome(samples, caps[1], camera, membrane),
+        visible_share=check_dome(samples, caps[1], mesh, camera, membrane),
         motion_m=motion_m,
     )
 
@@ -295,32 +290,22 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
 
     Raises InputError: no tension balances the chosen surface.
     """
-    free_form = surfaces.free_form
-    # fitted pixels that count as one
-    together = max(1.0, samples.statistics.correlated_pixels / surfaces.stride**2)
-    now = {
-        "tension_m": balance_tension(free_form.mesh, 1.0),
-        "height_m": float(free_form.mesh.nodes[:, 2].max()),
-    }
-    sigmas = free_form.sigma_m
-    if surfaces.chosen != "free-form":
-        now, sigmas = _cap_deviations(samples, surfaces)
-    sigmas = np.sqrt(together) * sigmas
-    sphere, cap = surfaces.sphere, surfaces.cap
+    free_form, chosen = surfaces.free_form, surfaces.chosen
+    # square root of the number of fitted pixels that count as one
+    together = float(np.sqrt(max(1.0, samples.statistics.correlated_pixels / surfaces.stride**2)))
     by_surface: dict[SurfaceName, float] = {
-        "sphere": 0.5 * float(sphere.semi_axes_m[0]),
-        "ellipsoid": _cap_numbers(cap)(cap)["tension_m"],
+        "sphere": 0.5 * float(surfaces.sphere.semi_axes_m[0]),
+        "ellipsoid": _cap_tension(surfaces.cap, len(surfaces.mesh.nodes)),
         "free-form": balance_tension(free_form.mesh, 1.0),
     }
+    own: SurfaceName = "ellipsoid" if chosen == "free-form" else chosen
+    shape = [free_form.sigma_m[0] * together, by_surface["free-form"] - by_surface[own]]
+    sizes, sigmas = {"height_m": float(free_form.mesh.nodes[:, 2].max())}, free_form.sigma_m[1:]
+    if chosen != "free-form":
+        sizes, sigmas, upper = _of_cap(samples, surfaces)
+        shape.append(_cap_tension(upper, len(surfaces.mesh.nodes)) - by_surface[own])
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
-    other: SurfaceName = "ellipsoid" if surfaces.chosen == "free-form" else surfaces.chosen
-    shape = [
-        free_form.sigma_m[0] * np.sqrt(together),
-        by_surface["free-form"] - by_surface[other],
-    ]
-    if surfaces.chosen != "free-form":
-        shape.append(_upper_half(samples, surfaces) - by_surface[other])
-    value, sheet = now["tension_m"], as_flat_sheet(surfaces.mesh)
+    value, sheet = by_surface[chosen], as_flat_sheet(surfaces.mesh)
     excess = 0.0 if sheet is None else value * sheet[1]
     parts = {
         "frames": value * surfaces.motion_m / float(surfaces.sphere.semi_axes_m[0]),
@@ -328,77 +313,54 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
         "surface": float(np.linalg.norm(shape)),
         "statics": abs(excess) / np.sqrt(12.0),  # uniform distribution from 0 to the excess
     }
-    own = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
+    interval = Quantity.normal(value + 0.5 * excess, float(np.linalg.norm(list(parts.values()))))
     return replace(
         surfaces,
-        tension_m=Quantity(value, own.low, own.high),
+        tension_m=Quantity(value, interval.low, interval.high),
         tension_parts_m=parts,
         tension_by_surface_m=by_surface,
-        least_squares_m=least_squares_tension(surfaces.mesh, 1.0),
         dimensions={
-            name: Quantity.normal(size, float(np.hypot(facets, sigma)))
-            for (name, size), sigma in list(zip(now.items(), sigmas, strict=True))[1:]
+            name: Quantity.normal(size, float(np.hypot(facets, together * sigma)))
+            for (name, size), sigma in zip(sizes.items(), sigmas.tolist(), strict=True)
         },
         flat_sheet=sheet,
     )
 
 
-def _cap_deviations(
+def _cap_tension(cap: Ellipsoid, nodes: int) -> float:
+    """γ0 of a cap under 1 Pa, m, over a mesh."""
+    return balance_tension(mesh_cap(cap.cap_above_rim, nodes), 1.0)
+
+
+def _of_cap(
     samples: FrameSamples, surfaces: Surfaces
-) -> tuple[dict[str, float], np.ndarray]:
-    """Numbers of the chosen cap, and their standard deviations (Q,) by errors of single pixels."""
-    own, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
-    numbers = _cap_numbers(own, sphere=sphere)
+) -> tuple[dict[str, float], np.ndarray, Ellipsoid]:
+    """Dimensions of the chosen cap, m, with σ by errors of single pixels; cap of the upper half.
+
+    The latter is fitted to the upper half of the points alone, to first order. On a sphere or an
+    ellipsoid its γ0 equals that of the full fit, up to noise. An inflated sheet differs from either
+    by micrometres, with an error of γ0 of about the difference of the two fits.
+    """
+    cap, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     pixels = np.flatnonzero((surfaces.fitted & np.isfinite(samples.statistics.range_m)).ravel())
     points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
-    distance, J = own.distance(points), own.derivatives(points, sphere=sphere)
-    sigma, gradient = robust_sigma(distance, center=0.0), _gradient(numbers, own, J.shape[1])
-    normal = J.T @ (J * tukey_weights(distance, sigma)[:, None])
-    squares = np.sum(gradient * np.linalg.solve(normal, gradient), axis=0)
-    return numbers(own), sigma * np.sqrt(squares)
+    distance, J = cap.distance(points), cap.derivatives(points, sphere=sphere)
+    sigma = robust_sigma(distance, center=0.0)
+    weighted = J.T * tukey_weights(distance, sigma)
+    step = 1e-20 * np.eye(len(weighted))  # derivatives by complex steps
+    gradient = np.stack([_sizes(cap, each * 1j).imag / 1e-20 for each in step])
+    squares = np.sum(gradient * np.linalg.solve(weighted @ J, gradient), axis=0)
+    kind = ("radius_m",) if sphere else tuple(f"semi_axis_{axis}_m" for axis in "xyz")
+    names = "height_m", *kind, *(f"rim_{name}" for name in kind[:2])
+    up = cap.normals(points)[:, 2]  # noise hardly turns them, while it selects points by height
+    half = weighted * (up > np.median(up))
+    upper = cap.moved(-np.linalg.solve(half @ J, half @ distance))
+    values = _sizes(cap, 0.0 * step[0]).tolist()
+    return dict(zip(names, values, strict=True)), sigma * np.sqrt(squares), upper
 
 
-def _upper_half(samples: FrameSamples, surfaces: Surfaces) -> float:
-    """γ0 under 1 Pa, m, of the cap fitted to the upper half of the points alone.
-
-    On a sphere or an ellipsoid this equals γ0 of the full fit, up to noise. An inflated sheet
-    differs from either by micrometres, with an error of γ0 of about the difference of the two fits.
-    """
-    pixels = np.flatnonzero(surfaces.fitted)
-    points = surfaces.camera.points_at(samples.statistics.range_m, pixels)
-    upper = points[points[:, 2] > np.nanmedian(points[:, 2])]
-    refit = fit_sphere(upper) if surfaces.chosen == "sphere" else fit_ellipsoid(upper)
-    return _cap_numbers(surfaces.chosen_cap)(refit)["tension_m"]
-
-
-Numbers = Callable[[Ellipsoid], dict[str, float]]
-
-
-def _cap_numbers(at: Ellipsoid, *, sphere: bool = False) -> Numbers:
-    """Function of caps close to a given one that returns γ0 under 1 Pa, then the dimensions."""
-    mesh = at.fine_mesh
-    centres, areas = mesh.nodes[mesh.triangles].mean(axis=1), mesh.facet_areas
-
-    def numbers(cap: Ellipsoid) -> dict[str, float]:
-        x, y, z = (float(a) for a in cap.semi_axes_m)
-        at_rim = float(np.sqrt(max(1.0 - (cap.centre_m[2] / z) ** 2, 0.0)))
-        found = {
-            # by force balance
-            "tension_m": float(areas.sum() / (areas @ cap.curvature(centres))),
-            "height_m": float(cap.centre_m[2]) + z,
-        }
-        if sphere:
-            return found | {"radius_m": x, "rim_radius_m": x * at_rim}
-        axes = {"semi_axis_x_m": x, "semi_axis_y_m": y, "semi_axis_z_m": z}
-        return found | axes | {"rim_semi_axis_x_m": x * at_rim, "rim_semi_axis_y_m": y * at_rim}
-
-    return numbers
-
-
-def _gradient(numbers: Numbers, at: Ellipsoid, parameters: int) -> np.ndarray:
-    """Derivative of the quantities by the parameters, (p, Q), by central differences."""
-    columns = []
-    for step in 1e-6 * np.eye(parameters):
-        up, down = numbers(at.moved(step)), numbers(at.moved(-step))
-        columns.append((np.array(list(up.values())) - np.array(list(down.values()))) / 2e-6)
-    return np.array(columns)
+def _sizes(cap: Ellipsoid, step: np.ndarray) -> np.ndarray:
+    """Height, radius or semi-axes, and radius or semi-axes of the rim after a step, m."""
+    axes = cap.semi_axes_m[: len(step) - 3] + step[3:]
+    height = cap.centre_m[2] + step[2]
+    return np.array([height + axes[-1], *axes, *axes[:2] * np.sqrt(1.0 - (height / axes[-1]) ** 2)])

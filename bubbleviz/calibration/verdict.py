@@ -122,15 +122,6 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
             "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
-    value, least = found.tension.value, found.least_squares_n_per_m
-    apart = abs(least - value)
-    if apart > max(_GOOD * value, found.tension_by_shape.half_width):
-        out.append(
-            f"γ0 is {value:.1f} N/m by the force balance of the whole dome and {least:.1f} N/m by"
-            f" least squares over its nodes, {_percent(apart / value)} apart: the mean curvature"
-            " varies, so no uniform tension fits this shape. Take the difference as the error of "
-            "γ0."
-        )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:
         out.append(f"Only {frames} contact-free frames: choose or record {_MIN_FRAMES} or more.")

@@ -84,7 +84,6 @@ from .stiffness import (
     balance_gradient as balance_gradient,
     balance_tension as balance_tension,
     cotangent_laplacian as cotangent_laplacian,
-    least_squares_tension as least_squares_tension,
     local_tension as local_tension,
     mean_curvature as mean_curvature,
 )

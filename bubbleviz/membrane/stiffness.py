@@ -72,17 +72,6 @@ def balance_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
     return gauge_pressure_pa * area / bending
 
 
-def least_squares_tension(mesh: MembraneMesh, gauge_pressure_pa: float) -> float:
-    """γ0 in N/m by least squares of γ0 (L x)·n̂ against A P over the free nodes: for comparison.
-
-    It divides by the sum of squares of the curvature, which every bump makes larger: on the Punyo
-    sensor it falls from 130 to 112 N/m as the mesh is refined, `balance_tension` stays within 1 %.
-    """
-    free = mesh.free
-    curvature = np.einsum("ij,ij->i", cotangent_laplacian(mesh) @ mesh.nodes, mesh.normals)[free]
-    return float(gauge_pressure_pa * np.sum(curvature) / np.sum(curvature**2 / mesh.areas[free]))
-
-
 def balance_gradient(mesh: MembraneMesh, gauge_pressure_pa: float, arms: np.ndarray) -> np.ndarray:
     """Derivative of `balance_tension` for motion of each node along its arm (n, 3); (n,), Pa.
 

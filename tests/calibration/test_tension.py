@@ -20,7 +20,7 @@ from bubbleviz.simulation import DepthNoise
 from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
 from tests.small_press import changed
 
-from .domes import GAUGE, oval, sphere
+from .domes import GAUGE, Dome, oval, sphere
 from .identified import identify
 from .twin import FREE, make_twin, nominal_sensor
 
@@ -83,6 +83,15 @@ def test_outliers_holes_and_tilt(make):
     assert found.tension_n_per_m == pytest.approx(truth, rel=0.01)
     assert found.tension.low < truth < found.tension.high
     assert found.surfaces.dimensions["height_m"].value == pytest.approx(dome.height, abs=2e-4)
+
+
+def test_a_shallow_dome_at_one_percent_of_noise():
+    """Its upper half, chosen by height, would be the pixels that noise lifts: bent differently."""
+    dome = Dome((0.1, 0.08, 0.05), 0.009, DepthNoise(relative=0.01), 0, scale=1.0, frames=20)
+    found = identify(dome, dome.sensor, nodes=400).tension_by_shape
+    cap = EllipsoidalCap.of(rim_of(dome), dome.height, 0.05)
+    truth = balance_tension(mesh_cap(cap, 4_000), GAUGE)
+    assert found.low < truth < found.high and found.half_width < 0.1 * truth
 
 
 def test_local_tension_of_a_sphere_is_young_laplace_everywhere():
