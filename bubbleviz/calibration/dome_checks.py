@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_sphere
-from bubbleviz.calibration.fit_errors import tile_numbers, tile_side
+from bubbleviz.calibration.ellipsoid import fit_sphere
 from bubbleviz.calibration.rest_frames import FrameSamples, away_from_edges
 from bubbleviz.camera import MAD, DepthCamera, median
 from bubbleviz.errors import InputError
@@ -16,14 +15,13 @@ from bubbleviz.recordings import robust_sigma
 _MIN_VISIBLE_SHARE = 0.5  # of the dome's area; chosen: the fit extrapolates over the rest
 _SIGNIFICANT = 6.0  # robust standard deviations of the residual
 _MIN_DENT_PIXELS = 20  # chosen: smaller dents are false returns
-_MIN_DENT_DEPTH = 1e-2  # of the dome's radius: shallower deviations belong to the dome's shape
+_DEEP = 1e-2  # of the dome's radius: shallower deviations belong to the dome's shape
 
 
 def check_dome(
     samples: FrameSamples,
-    # cap fitted to their mean, and mesh of the chosen surface, in B
-    cap: Ellipsoid,
-    mesh: MembraneMesh,
+    mesh: MembraneMesh,  # of the chosen surface, in B
+    residual_m: np.ndarray,  # (H, W), measured range minus that of the mesh, m; NaN: unknown
     camera: DepthCamera,
     membrane: np.ndarray,  # (H, W) bool, pixels that see the membrane
 ) -> float:
@@ -36,7 +34,8 @@ def check_dome(
             "to determine its shape, volume and γ0; uncover the camera, or give a sensor file with "
             "this camera's pose"
         )
-    _check_no_dent(samples, cap, camera, membrane, filled)
+    radius = float(np.sqrt(mesh.areas.sum() / (2.0 * np.pi)))  # of a hemisphere of this area
+    _check_no_dent(samples, residual_m, radius, membrane, filled)
     return visible
 
 
@@ -57,52 +56,31 @@ def _visible_share(
 
 def _check_no_dent(
     samples: FrameSamples,
-    cap: Ellipsoid,
-    camera: DepthCamera,
+    residual_m: np.ndarray,  # (H, W), measured minus modelled range, m
+    radius_m: float,
     membrane: np.ndarray,
     filled: np.ndarray,
 ) -> None:
     """Refuse a dome that is pressed in, as by a contact in every frame.
 
-    Gas pressure alone makes a membrane bulge everywhere. A patch counts as a contact where it lies
-    so deep inside the fitted cap, for its width, that the membrane has lost half of its curvature.
-    Its width is that of the region where the deviation from the cap exceeds its own spread, not of
-    the part where it is significant: near the border of the view, that can be a small corner.
+    A surface is fitted robustly and as smooth as the dome: it does not follow a dent.
     """
-    ranges, edge_px = samples.statistics.range_m, samples.statistics.correlation_length_px
-    points = camera.points_at(ranges, np.arange(ranges.size))
-    residual_m = cap.distance(points).reshape(ranges.shape)  # negative inside
-    pixel_m = ranges / np.sqrt(camera.intrinsics.fx * camera.intrinsics.fy)  # side on the membrane
-    inner = away_from_edges(filled, edge_px + 1.0)
+    inner = away_from_edges(filled, samples.statistics.correlation_length_px + 1.0)
     measured = inner & np.isfinite(residual_m)
-    known = measured & membrane
-    spread = robust_sigma(residual_m[known])
-    radius = float(np.prod(cap.semi_axes_m) ** (1.0 / 3.0))
-    significant = np.nan_to_num(residual_m) < -_SIGNIFICANT * spread
-    known |= _steep_dents(measured & ~membrane, -residual_m)
-    deep = known & (np.nan_to_num(residual_m) < -spread)
-    # A majority vote of neighbours removes single outliers and bridges holes in a patch.
-    share = ndimage.uniform_filter(deep.astype(float), 5)
-    deep = share > 0.5 * np.maximum(ndimage.uniform_filter(known.astype(float), 5), 1e-9)
-    labels, count = ndimage.label(deep)
-    for k in range(1, count + 1):
-        region = labels == k
-        patch = region & known
-        deepest = patch & significant
-        if np.count_nonzero(deepest) < _MIN_DENT_PIXELS:
-            continue
-        area = (
-            float(np.sum(pixel_m[patch] ** 2)) * np.count_nonzero(region) / np.count_nonzero(patch)
-        )
-        depth = float(np.quantile(-residual_m[deepest], 0.95))
-        flattened = area / np.pi / (4.0 * radius)  # r²/(4 R): half of the curvature is lost
-        if depth > max(flattened, _MIN_DENT_DEPTH * radius):
-            row, column = (round(float(x)) for x in ndimage.center_of_mass(deepest))
-            raise InputError(
-                f"{samples.source_name}: in the frames taken as contact-free the membrane is "
-                f"pressed in by {1e3 * depth:.1f} mm around pixel ({column}, {row}); record the "
-                "membrane untouched, or choose other frames"
-            )
+    least = max(_SIGNIFICANT * robust_sigma(residual_m[measured & membrane]), _DEEP * radius_m)
+    known = (measured & membrane) | _steep_dents(measured & ~membrane, -residual_m)
+    labels, _ = ndimage.label(known & (residual_m < -least), np.ones((3, 3)))
+    sizes = np.bincount(labels.ravel())[1:]
+    if sizes.max(initial=0) < _MIN_DENT_PIXELS:
+        return
+    patch = labels == 1 + np.argmax(sizes)
+    depth = float(np.quantile(-residual_m[patch], 0.95))
+    row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
+    raise InputError(
+        f"{samples.source_name}: in the frames taken as contact-free the membrane is pressed in by "
+        f"{1e3 * depth:.1f} mm around pixel ({column}, {row}); record the membrane untouched, or "
+        "choose other frames"
+    )
 
 
 def _steep_dents(outside: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
@@ -143,14 +121,15 @@ _MAX_MOTION = 5e-3  # of the dome's radius, which is the relative error that it 
 def check_motion(samples: FrameSamples) -> float:
     """Largest motion of the dome between frames, beyond noise, m.
 
-    The motion is that of a fitted sphere's centre about its mean. Its noise comes from the
-    residuals after the motion, summed over tiles, since neighbouring pixels are correlated.
+    The motion is that of a fitted sphere's centre about its mean. Its noise is that of the
+    residuals, of which as many count as one as are correlated.
 
     Raises InputError: the dome moves by more than 0.5 % of its radius.
     """
     statistics, camera = samples.statistics, samples.camera
     known = np.flatnonzero(statistics.validity >= statistics.regular_validity)
-    known = known[:: max(1, len(known) // _MAX_FITTED_PIXELS)]
+    stride = max(1, len(known) // _MAX_FITTED_PIXELS)
+    known = known[::stride]
     ranges = statistics.range_m.ravel()[known]
     points = camera.points_at(statistics.range_m, known)
     sphere = fit_sphere(points)
@@ -166,14 +145,8 @@ def check_motion(samples: FrameSamples) -> float:
     change = np.nan_to_num((depth * to_range - ranges) * facing).astype(np.float32)
     limit = np.float32(_NOISE_LIMIT / MAD) * median(np.abs(change))[:, None]
     moved = np.clip(change, -limit, limit) @ solve.T
-    residual = np.clip(change + moved @ J.T, -limit, limit)
-    side = tile_side(len(known), statistics.correlation_length_px)
-    tile = tile_numbers(known, camera.intrinsics.width, max(side, 8))
-    variance = np.zeros((len(residual), 3))
-    for k in range(3):
-        cells = np.stack([np.bincount(tile, row * solve[k]) for row in residual])
-        variance[:, k] = np.sum(cells**2, axis=1)
-    noise = np.sqrt(np.median(variance, axis=0))
+    together = max(1.0, statistics.correlated_pixels / stride)
+    noise = robust_sigma(change + moved @ J.T) * np.sqrt(together) * np.linalg.norm(solve, axis=1)
     motion = np.linalg.norm(np.maximum(np.abs(moved) - _NOISE_LIMIT * noise, 0.0), axis=1)
     worst = int(np.argmax(motion))
     if motion[worst] > _MAX_MOTION * sphere.semi_axes_m[0]:

@@ -159,6 +159,7 @@ def fit_surfaces(
         caps, camera = _centred(caps, camera, 0)
         mesh = mesh_cap(caps[0].cap_above_rim, nodes)
     height, sigma = rim_height(edge[:, 2])
+    residual_m = statistics.range_m - MembraneView(camera, mesh).rest_range
     return Surfaces(
         sphere=caps[0],
         cap=caps[1],
@@ -172,8 +173,8 @@ def fit_surfaces(
         left_out_rms_m={name: float(np.sqrt(each.mean())) for name, each in squares.items()},
         chosen=chosen,
         mesh=mesh,
-        residual_m=statistics.range_m - MembraneView(camera, mesh).rest_range,
-        visible_share=check_dome(samples, caps[1], mesh, camera, membrane),
+        residual_m=residual_m,
+        visible_share=check_dome(samples, mesh, residual_m, camera, membrane),
         motion_m=motion_m,
     )
 
