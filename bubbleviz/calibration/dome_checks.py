@@ -15,6 +15,9 @@ from bubbleviz.recordings import robust_sigma
 _MIN_VISIBLE_SHARE = 0.5  # of the dome's area; chosen: the fit extrapolates over the rest
 _SIGNIFICANT = 6.0  # robust standard deviations of the residual
 _MIN_DENT_PIXELS = 20  # chosen: smaller dents are false returns
+_MIN_DENT_SAMPLES = 5.0
+"""Independent ones in a dent. A camera's fixed pattern has patches of one or less: up to 250 pixels
+and 1.2 mm deep on the real one."""
 _DEEP = 1e-2  # of the dome's radius: shallower deviations belong to the dome's shape
 
 
@@ -71,7 +74,8 @@ def _check_no_dent(
     known = (measured & membrane) | _steep_dents(measured & ~membrane, -residual_m)
     labels, _ = ndimage.label(known & (residual_m < -least), np.ones((3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
-    if sizes.max(initial=0) < _MIN_DENT_PIXELS:
+    together = samples.statistics.correlated_pixels
+    if sizes.max(initial=0) < max(_MIN_DENT_PIXELS, _MIN_DENT_SAMPLES * together):
         return
     patch = labels == 1 + np.argmax(sizes)
     depth = float(np.quantile(-residual_m[patch], 0.95))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +11,6 @@ from bubbleviz.membrane import EllipsoidalCap
 from bubbleviz.recordings import robust_sigma, tukey_weights
 
 _LARGEST_STEP = 0.1  # of the smallest semi-axis: farther away the linearisation is of no use
-Weights = Callable[[np.ndarray, float], np.ndarray]
-"""Of residuals and their standard deviation."""
 
 _COARSE_POINTS = 5_000  # for all fits but the last, which uses every point
 _STEPS, _TOLERANCE = 30, 1e-3  # the latter over σ, a tenth of the noise of 10⁴ points' mean
@@ -96,10 +93,10 @@ def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellips
 
 
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Robust least squares: Cauchy's weights first, then Tukey's, on all points at the end."""
+    """Robust least squares on few points, then on all."""
     few = _subsample(points)
-    for some, weigh in ((few, _cauchy_weights), (few, tukey_weights), (points, tukey_weights)):
-        surface = _reweighted(some, surface, weigh, sphere=sphere)
+    for some in (few, few, points):
+        surface = _reweighted(some, surface, sphere=sphere)
         if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
             raise InputError(
                 "contact-free depth: too flat, no dome fits; inflate the membrane, or choose frames"
@@ -108,14 +105,12 @@ def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
     return surface
 
 
-def _reweighted(
-    points: np.ndarray, surface: Ellipsoid, weigh: Weights, *, sphere: bool
-) -> Ellipsoid:
+def _reweighted(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
     """Iteratively reweighted least squares at the spread of the distances from the start."""
     distance = surface.distance(points)
     sigma = max(robust_sigma(distance, center=0.0), 1e-9)
     for _ in range(_STEPS):
-        J, weights = surface.derivatives(points, sphere=sphere), weigh(distance, sigma)
+        J, weights = surface.derivatives(points, sphere=sphere), tukey_weights(distance, sigma)
         # by the pseudo-inverse, as a part of a dome may leave a semi-axis open
         normal, gradient = J.T * weights @ J, J.T @ (weights * distance)
         step = -np.linalg.lstsq(normal, gradient, rcond=None)[0]
@@ -125,10 +120,6 @@ def _reweighted(
             break
         distance = surface.distance(points)
     return surface
-
-
-def _cauchy_weights(residuals: np.ndarray, sigma: float) -> np.ndarray:
-    return 1.0 / (1.0 + (residuals / sigma) ** 2)
 
 
 def _finite_points(points: np.ndarray) -> np.ndarray:
