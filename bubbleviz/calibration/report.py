@@ -241,18 +241,14 @@ def _rubber(found: Identification) -> dict[str, Any]:
 
 
 def _validation(found: Identification) -> dict[str, Any] | None:
-    if (validation := found.validation) is None:
+    if (press := found.validation) is None:
         return None
-    overlap = validation.patch_overlap
-    return {
-        "rms_m": validation.rms_m,
-        "p95_m": validation.p95_m,
-        "untouched_rms_m": validation.untouched_rms_m,
-        "points": len(validation.points_m),
-        "patch_overlap": overlap if np.isfinite(overlap) else None,
-        "predicted_force_n": validation.predicted_force_n.tolist(),
-        "measured_force_n": validation.measured_force_n.tolist(),
-    }
+    names = "rms_m", "p95_m", "untouched_rms_m", "patch_overlap"
+    forces = "predicted_force_n", "measured_force_n"
+    numbers = {name: getattr(press, name) for name in names} | {"points": len(press.points_m)}
+    if np.isnan(press.patch_overlap):
+        numbers["patch_overlap"] = None
+    return numbers | {name: getattr(press, name).tolist() for name in forces}
 
 
 # Images of an identification for the window, and the figures of its report.

@@ -29,8 +29,8 @@ class Validation:
 
     # (k, 3), measured cloud in B (mean of the frames), less the calibrated bias, m
     points_m: np.ndarray
-    # (H, W), signed distance of each of them from the predicted membrane, positive outside, m; NaN
-    # in pixels without one
+    # (H, W), distance of each of them from the predicted membrane along its ray, positive outside,
+    # m; NaN in pixels without one
     distance_m: np.ndarray
     # rms distance of the cloud from the membrane without contact, for comparison, m
     untouched_rms_m: float
@@ -71,8 +71,8 @@ class Validation:
             ) from error
         view = MembraneView(model.camera, press.mesh)
         measured = model.range_image(frame.depth_m).astype(float)
-        moved = truth.displacement_3d_m
-        distance, untouched = (_distance(view, measured, each) for each in (moved, 0.0 * moved))
+        distance = measured - view.range_image(truth.displacement_3d_m)
+        untouched = measured - view.rest_range
         if not np.isfinite(distance).any():
             raise InputError(
                 "validation: no pixel has a valid depth on the membrane; choose other pressed "
@@ -175,18 +175,3 @@ def mean_frame(frames: Sequence[Frame]) -> Frame:
         depth_m=np.where(2 * count >= len(frames), mean, np.nan).astype(np.float32),
         gas_pressure_pa=float(np.mean(gas)) if len(gas) == len(frames) else None,
     )
-
-
-def _distance(view: MembraneView, measured_m: np.ndarray, displacement_m: np.ndarray) -> np.ndarray:
-    """Signed distance of the measured points from the membrane, to first order, (H, W), m.
-
-    The difference of ranges along the ray, projected onto the facet's normal; NaN without either.
-    """
-    hits = view.hits(displacement_m)
-    nodes = view.mesh.deformed(displacement_m)[view.mesh.triangles[hits.triangle]]
-    normal = np.cross(nodes[:, 1] - nodes[:, 0], nodes[:, 2] - nodes[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    facing = np.einsum("ij,ij->i", normal, view.camera.directions[hits.ray])
-    distance = np.full(measured_m.shape, np.nan)
-    distance.ravel()[hits.ray] = (measured_m.ravel()[hits.ray] - hits.range_m) * facing
-    return distance
