@@ -94,14 +94,16 @@ FlowPreset = Literal["fast", "balanced", "fine"]
 is the fastest with the same force error as the others (`benchmarks shear`)."""
 
 _PYRAMID: dict[FlowPreset, tuple[int, int]] = {"fast": (2, 0), "balanced": (1, 0), "fine": (1, 5)}
-_WINDOW_PX = BLOCK_PX + 1  # about the middle pixel of a block, so that its mean is that pixel's
+_SMOOTHED_PX, _WINDOW_PX, _ROUNDS = 2 * BLOCK_PX + 1, 15, 2
+"""Sides of the squares over which a search is averaged twice, and whose motion is measured, odd;
+and searches, each for what the one before has left: of 9 to 25, 9 to 21, and 1 and 2 those with the
+smallest errors on known motions whose error is the σ that is told."""
 _SATURATED = 250  # grey level of a pixel that may be saturated
 _LARGEST_SIGMA_PX = 0.1  # of motion at rest; chosen: less certain flow adds nothing to depth
-_LARGEST_DISAGREEMENT_PX = 1.0
-"""Of forward and backward flow: beyond it one of them is a false match."""
-_DISAGREEMENT_VARIANCE, _CURVATURE_VARIANCE = 0.5, 0.1
-"""Variance of a component per squared pixel of disagreement, and of the Laplacian of the motion
-over blocks, part of which averaging removes. Fitted to synthetic motions."""
+_MEAN_TO_SIGMA = np.sqrt(0.5 * np.pi)  # of normal errors, from the mean of their sizes
+_LARGEST_MISMATCH = 0.5 * _SCALE
+"""Standard deviation of grey levels beyond which a match is false: half of that of the texture. It
+is up to 6 of known motions, and from 19 on where another texture covers the membrane."""
 _MIN_BLOCK_SHARE = 0.01  # of blocks with texture; chosen
 _MAX_IMAGES = 40  # for the noise: more cost time and do not improve it
 
@@ -109,8 +111,8 @@ _MAX_IMAGES = 40  # for the noise: more cost time and do not improve it
 class OpticalFlow:
     """Measures motion against contact-free images, by blocks of 8×8 pixels.
 
-    Dense inverse search (Kroeger et al. 2016) of OpenCV, forward and backward: their disagreement
-    estimates the error. Constructed by `of`.
+    Dense inverse search (Kroeger et al. 2016) of OpenCV, then a step of Lucas and Kanade's method,
+    whose mismatch of grey levels estimates the error. Constructed by `of`.
 
     Attributes
     ----------
@@ -139,6 +141,8 @@ class OpticalFlow:
         self.problem = problem
         self._reference = reference
         self._search = _search(preset)
+        levels = np.ones_like(reference)
+        self._px_per_level = motion_bound(reference, levels, _WINDOW_PX).ravel()[pixel]
 
     @classmethod
     def of(
@@ -163,16 +167,13 @@ class OpticalFlow:
         reference = normalised(mean)
         frames = [normalised(image) for image in stack]
         bound = motion_bound(reference, _grey_variance(np.stack(frames)), _WINDOW_PX)
-        search = _search(preset)
-        flows = np.stack(
-            [_block_centres(_averaged(search.calc(reference, f, None))) for f in frames]
-        )
-        variance = flows.var(axis=0, ddof=1).max(axis=-1)
+        search, middle = _search(preset), _block_centres(np.arange(mean.size).reshape(mean.shape))
+        flows = [_motions(search, reference, each, middle.ravel())[0] for each in frames]
+        variance = np.var(flows, axis=0, ddof=1).max(axis=-1).reshape(middle.shape)
         noise = np.maximum(_block_centres(bound), np.sqrt(variance))
         saturated = _block_centres(_dilated(mean >= _SATURATED))
         hidden = np.zeros_like(saturated) if mask is None else _block_centres(_dilated(~mask))
         good = (noise < _LARGEST_SIGMA_PX) & ~saturated & ~hidden
-        middle = _block_centres(np.arange(mean.size).reshape(mean.shape))
         return cls(
             reference,
             preset,
@@ -195,21 +196,12 @@ class OpticalFlow:
             return self.nothing(self.problem)
         frame = normalised(grey)
         with one_thread():
-            forward = _averaged(self._search.calc(self._reference, frame, None))
-            backward = _averaged(self._search.calc(frame, self._reference, None))
-        moved = forward.reshape(-1, 2)[self.pixel]
-        place = moved + np.stack(np.divmod(self.pixel, self.shape[1])[::-1], axis=1)
-        disagreement = np.linalg.norm(moved + _sampled(backward, place), axis=1)
-        curvature = np.linalg.norm(self._laplacian(forward), axis=1)
+            moved, mismatch = _motions(self._search, self._reference, frame, self.pixel)
+        place = moved + _places(self.pixel, self.shape)
         saturated = _sampled(_dilated(grey >= _SATURATED).astype(np.float32), place) > 0.0
         inside = np.all((place >= 0) & (place <= np.array(self.shape[::-1]) - 1), axis=1)
-        good = (disagreement < _LARGEST_DISAGREEMENT_PX) & inside & ~saturated
-        variance = (
-            self.noise_px**2
-            + _DISAGREEMENT_VARIANCE * disagreement**2
-            + _CURVATURE_VARIANCE * curvature**2
-        )
-        sigma = np.sqrt(variance[good])
+        good = (mismatch < _LARGEST_MISMATCH) & inside & ~saturated
+        sigma = np.hypot(self.noise_px, self._px_per_level * mismatch)[good]
         lost = "most of the texture seen without contact could not be matched in this frame"
         problem = "" if good.mean() > 0.5 else lost
         return FlowField(self.pixel[good], moved[good], sigma, self.shape, problem)
@@ -217,13 +209,6 @@ class OpticalFlow:
     def nothing(self, problem: str) -> FlowField:
         """Flow without any block, and the reason."""
         return FlowField(np.empty(0, int), np.empty((0, 2)), np.empty(0), self.shape, problem)
-
-    def _laplacian(self, flow: np.ndarray) -> np.ndarray:
-        """Laplacian of a flow over neighbouring blocks, at each block with texture, (b, 2)."""
-        cv2 = opencv()
-        blocks = _block_centres(flow)
-        laplacian = cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE)
-        return laplacian[tuple(index // BLOCK_PX for index in np.divmod(self.pixel, self.shape[1]))]
 
 
 def _search(preset: FlowPreset) -> Any:
@@ -233,6 +218,38 @@ def _search(preset: FlowPreset) -> Any:
     search.setFinestScale(finest)
     search.setVariationalRefinementIterations(rounds)
     return search
+
+
+def _motions(
+    search: Any,
+    reference: np.ndarray,  # (H, W) uint8
+    frame: np.ndarray,  # (H, W) uint8
+    pixel: np.ndarray,  # (b,), flat index
+) -> tuple[np.ndarray, np.ndarray]:
+    """Motion of windows around some pixels, (b, 2), and the mismatch of their grey levels, (b,).
+
+    The mismatch is a standard deviation, inf for windows that were not found.
+    A search finds the mean motion of patches that are 32 pixels wide, a fifth too little where a
+    small contact is dragged. The frame is therefore moved back by what was found, and the error of
+    the motion that is left is of second order.
+    """
+    cv2, square = opencv(), (_SMOOTHED_PX, _SMOOTHED_PX)
+    row, column = np.indices(reference.shape, np.float32)
+    flow, back = np.zeros((*reference.shape, 2), np.float32), frame
+    for _ in range(_ROUNDS):
+        flow += cv2.blur(cv2.blur(search.calc(reference, back, None), square), square)
+        x, y = column + flow[..., 0], row + flow[..., 1]
+        back = cv2.remap(frame, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    place = _places(pixel, reference.shape).astype(np.float32)
+    window = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": 0}
+    to, found, size = cv2.calcOpticalFlowPyrLK(reference, back, place, None, **window)
+    mismatch = np.where(found[:, 0] == 1, _MEAN_TO_SIGMA * size[:, 0], np.inf)
+    return flow.reshape(-1, 2)[pixel] + to - place, mismatch
+
+
+def _places(pixel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Positions of flat indices (b,), x and y, (b, 2)."""
+    return np.stack(np.divmod(pixel, shape[1])[::-1], axis=1)
 
 
 def _stacked(images: Iterable[np.ndarray]) -> np.ndarray:
@@ -264,11 +281,6 @@ def _block_centres(image: np.ndarray) -> np.ndarray:
     half = BLOCK_PX // 2
     rows, columns = (side // BLOCK_PX * BLOCK_PX for side in image.shape[:2])
     return image[half:rows:BLOCK_PX, half:columns:BLOCK_PX]
-
-
-def _averaged(flow: np.ndarray) -> np.ndarray:
-    """Mean of a flow (H, W, 2) over the window of a block around each pixel."""
-    return np.asarray(opencv().blur(flow, (_WINDOW_PX, _WINDOW_PX)))
 
 
 def _dilated(mask: np.ndarray) -> np.ndarray:
