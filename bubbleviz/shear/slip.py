@@ -4,12 +4,13 @@ Optical flow tracks points of the membrane inside each patch. The anchor of a po
 when it came into contact. The object's motion since then is the rigid motion of most of the
 sticking points; the motion of a point relative to it, along the membrane, is its slip. If a whole
 patch slides at once, its points do not move relative to each other: slip can only be detected
-relative to a part that sticks.
+relative to a part that sticks. If too little of that is left after a slip, it is unknown until
+the contact ends.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -85,7 +86,7 @@ class SlipFinder:
         _, known, before = np.intersect1d(point, start.point, return_indices=True)
         stuck = start.stuck[before]
         if np.count_nonzero(stuck) < _MIN_STUCK:
-            return None, first
+            return None, replace(first, stuck=all_stuck & start.stuck.all())
         moved = _Motions.of(pinned, known, start.anchor_m[before], start.covariance[before])
         motion = moved.relative_to_stuck(stuck)
         area = pinned.area[known]

@@ -38,6 +38,20 @@ def test_motion_and_its_sigma_are_correct(rest, preset, rms_px, motion):
     assert np.mean(np.abs(z) > 4.0) < 0.03
 
 
+def poked(x, y):
+    """9 pixels at a contact that is 40 pixels wide."""
+    near = np.exp(-((x - 150.0) ** 2 + (y - 120.0) ** 2) / (2.0 * 20.0**2))
+    return 6.4 * near, -6.4 * near
+
+
+def test_motion_of_a_small_contact_is_not_averaged_out(rest):
+    field = OpticalFlow.of(rest).measure(camera(clean_image(poked), 99))
+    y, x = np.divmod(field.pixel, WIDTH)
+    middle = np.hypot(x - 150, y - 120) < 10
+    moved, true = field.moved_px[middle], np.stack(poked(x, y), axis=1)[middle]
+    np.testing.assert_allclose(moved.mean(axis=0), true.mean(axis=0), rtol=0.06)
+
+
 def test_a_membrane_at_rest_does_not_move(rest):
     flow = OpticalFlow.of(rest)
     field = flow.measure(camera(clean_image(), 99))

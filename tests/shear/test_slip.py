@@ -99,3 +99,25 @@ def test_slip_is_measured_from_the_same_contact_only():
     assert slip_of(0, 0.0) is None
     assert slip_of(2, 1.0) is None  # jumped forward
     assert slip_of(3, 2.0) is not None  # the next frame of a slow recording
+
+
+def test_slip_is_unknown_after_all_of_a_patch_has_slipped():
+    """Its points move together then, as if they stuck; a new contact is compared with itself."""
+    path, away = press("puck", 0.005)
+    inwards, behind, motions = away / away[path.touching].max(), np.zeros_like(away), []
+    for k, sticks in enumerate((1.0, 1.0, 0.6, 0.4, 0.2, 0.0, 0.0)):
+        behind += inwards > sticks  # steps that a node did not follow
+        drag = max(1, k) * STEP_M * np.array([1.0, 0.3, 0.0])
+        motions.append(Motion(drag, lost=behind / max(1, k)))
+    eyes = Eyes(1000)
+
+    def found(truth, seed):
+        frame = eyes.see(truth, seed)
+        return eyes.pipeline.process(frame, frozenset({"slip"})).slip
+
+    shares = [found(truth, seed) for seed, truth in enumerate(path.along(motions))]
+    assert shares[2] is not None and shares[2].share > 0.0
+    assert shares[-2:] == [None, None]
+    eyes.pipeline.process(eyes.rest(), frozenset({"slip"}))
+    again = [found(truth, 9) for truth in list(path.along(motions[:1])) * 2]
+    assert again[1] is not None and again[1].share == 0.0
