@@ -77,6 +77,8 @@ class State:
         p_v, Pa.
     friction : (n, 3) array
         Force of friction on the nodes, N.
+    clamp : (n, 3) array
+        Force on the nodes of the rim by which its slack is another than expected, N.
     image_errors : (4,) array
         Amplitudes of `IMAGE_ERRORS`, m, m, m and 1.
     balanced : bool
@@ -90,6 +92,7 @@ class State:
     support: np.ndarray
     gas: float
     friction: np.ndarray
+    clamp: np.ndarray
     image_errors: np.ndarray
     balanced: bool
     area_vectors: np.ndarray
@@ -249,7 +252,7 @@ class GaussNewton:
         nothing = np.zeros(len(rest))
         image = self.image_prior.mean
         still, vectors = np.zeros_like(rest), bubble.area_vectors(rest)
-        self.rest = State(rest, nothing, nothing > 0.0, 0.0, still, image, True, vectors)
+        self.rest = State(rest, nothing, nothing > 0.0, 0.0, still, still, image, True, vectors)
         self._rest_tangent = {
             measured: bubble.linearised(rest, nothing, None if not measured else 0.0)
             for measured in (False, True)
@@ -429,6 +432,11 @@ class GaussNewton:
             )
             by_depth = np.arange(found[0][0].shape[2])
             moving += found
+            if observed.flow is not None:
+                # The slack is known to about itself, and only flow shows the motion along the
+                # membrane by which it differs; over the σ of friction, which all these have.
+                pull = (self.bubble.rim_pull(state.x) - state.clamp)[:, :, None] / self.friction
+                moving.append((tangent.motion(pull), pull))
         first = int(gas is not None)
         spins = by_depth % 3 == 2  # the third amplitude of each contact
         friction = first + by_depth[~spins], first + by_depth[spins]
@@ -617,8 +625,9 @@ class GaussNewton:
         if not state.balanced:
             return tangent.motion(-self.bubble.residual(state.x, state.pressure, gas))
         motion = np.zeros_like(state.x)
-        if state.friction.any():
-            motion -= tangent.motion(state.friction)
+        forces = state.friction + state.clamp
+        if forces.any():
+            motion -= tangent.motion(forces)
         change = self.bubble.gas_at(state.x)[0] if gas is None else gas
         if change != state.gas:
             motion += (change - state.gas) * tangent.bulge
@@ -645,19 +654,18 @@ class GaussNewton:
         linear, inside = state.x + share * contact.motion, gas
         if gas is not None:
             inside = state.gas + share * (gas + float(contact.amplitudes[0]) - state.gas)
-        friction = nuisances.force(contact.amplitudes)
+        force, rim = nuisances.force(contact.amplitudes), self.mesh.rim[:, None]
         x, balanced = linear, state.balanced and length_m <= self._balanced_m
         if share == 1.0 and not balanced:
-            x, balanced, tangent = self.bubble.equilibrium(
-                tangent, linear, pressure, inside, friction
-            )
+            x, balanced, tangent = self.bubble.equilibrium(tangent, linear, pressure, inside, force)
             balanced = balanced and float(np.abs(x - linear).max()) <= self._large_m
         if not balanced:
             x = linear
         if inside is None:
             inside = self.bubble.gas_at(x)[0]
-        reached = image_errors, balanced, self.bubble.area_vectors(x)
-        return State(x, pressure, contact.support, inside, friction, *reached), tangent
+        forces = np.where(rim, 0.0, force), np.where(rim, force, 0.0)
+        reached = *forces, image_errors, balanced, self.bubble.area_vectors(x)
+        return State(x, pressure, contact.support, inside, *reached), tangent
 
     def tangent_at(
         self, state: State, gas: float | None, last: Tangent | None = None, step_m: float = 0.0

@@ -286,6 +286,10 @@ class Bubble(ABC):
         """p_v, Pa, and −dp/dV, Pa/m³, by the gas law."""
         return self.gas.at(max(self.volume_change(x), (1e-6 - 1.0) * self.gas.V0))
 
+    def rim_pull(self, x: np.ndarray) -> np.ndarray:
+        """Pull of a shape in equilibrium on the slack of its rim, (n, 3), N."""
+        return np.zeros_like(x)
+
     @abstractmethod
     def residual(
         self,
@@ -357,6 +361,9 @@ class RubberBubble(Bubble):
 
     def volume_change(self, x: np.ndarray) -> float:
         return self.membrane.volume(x) - self._rest_volume
+
+    def rim_pull(self, x: np.ndarray) -> np.ndarray:
+        return self.membrane.rim_springs[:, None] * (x - self.mesh.nodes)
 
     def inside(self, x: np.ndarray, pressure: np.ndarray, gas: float | None) -> np.ndarray:
         """Pressure from inside over that from outside at the nodes, (n,), Pa."""
