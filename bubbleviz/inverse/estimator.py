@@ -23,7 +23,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.resolution import at_noise
 from bubbleviz.inverse.response import Bubble, RubberBubble
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.result import Estimate, Status
+from bubbleviz.result import Estimate, Status, wrench_about
 
 PRESSURE_SCALE = 3.0
 """Contact pressure in gauge pressures that the prior expects: P (1 + R/r) on an object with a
@@ -229,9 +229,23 @@ class Estimator:
         if not contacts_seen_by_flow(pressure, self.mesh.rings, seen).any():
             return alone, start
         both, by_flow = self._solve_frame(newton, data, _nearest(before, start))
-        if _contradict(alone, both):
+        if not both.trusted or _squares_apart(alone, both) > IMPLAUSIBLE_MISFIT**2:
             return replace(alone, flow_contradicts=True), start
-        return both, replace(start, by_flow=by_flow)
+        return self._with_disagreement(alone, both), replace(start, by_flow=by_flow)
+
+    def _with_disagreement(self, alone: Estimate, both: Estimate) -> Estimate:
+        """Estimate by depth and flow, with the difference of its force in its covariance.
+
+        That is the part that the errors of both do not explain: one has an error that is not known
+        (DerSimonian and Laird 1986). It acts at the centre of the contact.
+        """
+        excess = 1.0 - 3.0 / max(_squares_apart(alone, both), 3.0)
+        assert both.nodal_force_n is not None and both.wrench_covariance is not None
+        load = np.linalg.norm(both.nodal_force_n, axis=1)
+        center = load @ self.mesh.deformed(both.motion_m) / load.sum()
+        apart = wrench_about(-center)[:, :3] @ _apart(alone, both)
+        covariance = both.wrench_covariance + excess * np.outer(apart, apart)
+        return replace(both, wrench_covariance=covariance)
 
     def _solve_frame(
         self, newton: GaussNewton, data: FrameData, start: Start
@@ -321,19 +335,21 @@ def _nearest(before: Start, alone: Start) -> Start:
     return replace(last, state=replace(last.state, support=alone.state.support))
 
 
-def _contradict(alone: Estimate, both: Estimate) -> bool:
-    """Whether the force by depth alone excludes that by depth and flow, or there is none by both.
+def _apart(alone: Estimate, both: Estimate) -> np.ndarray:
+    """Force by depth and flow less that by depth alone, (3,), N."""
+    assert alone.force_n is not None and both.force_n is not None
+    return both.force_n - alone.force_n
 
-    By `IMPLAUSIBLE_MISFIT` in any direction, as of a measured gas pressure. Both have partly the
-    same errors: the sum of their covariances is an upper bound.
+
+def _squares_apart(alone: Estimate, both: Estimate) -> float:
+    """χ² of that difference, of three degrees of freedom.
+
+    Both have partly the same errors: the sum of their covariances is an upper bound.
     """
-    if not both.trusted:
-        return True
-    assert alone.force_n is not None and alone.wrench_covariance is not None
-    assert both.force_n is not None and both.wrench_covariance is not None
-    apart = both.force_n - alone.force_n
+    assert alone.wrench_covariance is not None and both.wrench_covariance is not None
+    apart = _apart(alone, both)
     covariance = (alone.wrench_covariance + both.wrench_covariance)[:3, :3]
-    return bool(apart @ np.linalg.solve(covariance, apart) > IMPLAUSIBLE_MISFIT**2)
+    return float(apart @ np.linalg.solve(covariance, apart))
 
 
 def no_estimate(

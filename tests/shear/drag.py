@@ -14,7 +14,6 @@ from tests.small_press import changed
 
 NOISE = DepthNoise(absolute_m=5e-5)
 FLOW_PX = 0.03
-FRICTION = EstimatorOptions().friction
 
 
 def sensor(nodes=600):
@@ -43,8 +42,8 @@ def stuck(name, depth_m, drag_m, twist_deg):
 class Eyes:
     """A pipeline of the sensor and rendered images of simulated frames, in order."""
 
-    def __init__(self, nodes=600, friction=FRICTION):
-        self.pipeline = Pipeline.of(sensor(nodes), options=EstimatorOptions(friction=friction))
+    def __init__(self, nodes=600, **options):
+        self.pipeline = Pipeline.of(sensor(nodes), options=EstimatorOptions(**options))
         self.flows: list[FlowSighting] = []
         self.pipeline.use_optical_flow(lambda frame: self.flows[frame.index].flow)
 

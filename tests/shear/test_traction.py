@@ -80,6 +80,38 @@ def test_a_frame_has_one_force_and_flow_improves_it():
     assert by_both < min(0.02, without)
 
 
+def test_a_contact_of_a_single_node_is_solved_with_flow():
+    truth, eyes = stuck("puck", 0.0006, 0.0, 0.0), Eyes(150)
+    frame = eyes.see(truth)
+    alone = eyes.pipeline.process(frame, frozenset({"estimate"})).estimate
+    assert np.count_nonzero(alone.contact_pressure_pa) == 1
+    eyes.pipeline.restart()
+    estimate, traction = eyes.solve(frame)
+    assert traction.status == "ok", traction.reason
+    error = estimate.force_n - truth.force_n
+    assert np.linalg.norm(error) < 0.05 * np.linalg.norm(truth.force_n)
+
+
+def test_flow_shows_that_a_rim_is_held_better_than_was_assumed():
+    """That of the simulated membrane does not move; 1 mm of slack costs the force 2.6 % else."""
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes(rim_slack_m=1e-3)
+    estimate, _ = eyes.solve(eyes.see(truth))
+    error = estimate.force_n - truth.force_n
+    assert np.linalg.norm(error) < 0.01 * np.linalg.norm(truth.force_n)
+
+
+def test_a_force_by_flow_that_differs_from_that_by_depth_has_a_larger_sigma():
+    """It shows another moment, by some standard deviations."""
+    now, later = stuck("sphere", 0.006, 0.0, 0.0), stuck("sphere", 0.006, 2e-4, 0.0)
+    eyes = Eyes()
+    frames = [eyes.see(each) for each in (now, later)]
+    in_time = eyes.solve(frames[0])[0]
+    eyes.flows[0] = eyes.flows[0]._replace(flow=eyes.flows[1].flow)
+    early = eyes.solve(frames[0])[0]
+    assert (np.abs(early.force_n - now.force_n) < 1.96 * early.force_sigma_n).all()
+    assert early.force_sigma_n[0] > 1.5 * in_time.force_sigma_n[0]
+
+
 def test_a_second_frame_starts_warm_or_from_rest():
     truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
     frame = eyes.see(truth)
