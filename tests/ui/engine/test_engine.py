@@ -155,6 +155,12 @@ def test_functions_may_end_after_their_window(qtbot):
             QCoreApplication.processEvents()
 
 
+def test_the_meta_object_that_the_thread_shares_is_complete_before(qtbot):
+    """PySide adds slots that a class does not declare when they are connected."""
+    made = Worker("any")
+    assert made.metaObject().methodCount() == Worker.staticMetaObject.methodCount()
+
+
 # -- the solver's thread ------------------------------------------------------------------------
 
 

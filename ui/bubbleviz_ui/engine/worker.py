@@ -11,7 +11,7 @@ from functools import partial
 from threading import Condition
 from typing import Any
 
-from PySide6.QtCore import QCoreApplication, QObject, Qt, Signal
+from PySide6.QtCore import QCoreApplication, QObject, Qt, Signal, Slot
 
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.progress import Cancelled
@@ -237,6 +237,7 @@ class Worker(QObject):
 
     # -- in the GUI thread --------------------------------------------------------------------
 
+    @Slot(object)  # else PySide makes a meta-object at run time, which the thread would share
     def _deliver(self, call: Callable[[], None]) -> None:
         call()
 
