@@ -128,7 +128,7 @@ class Controller(QObject):
         self._listen(self.client)
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
-        state.frozen_changed.connect(self._on_frozen)
+        state.frozen_changed.connect(self._on_playing)
         state.settings_changed.connect(self._on_settings)
 
     @property
@@ -240,17 +240,11 @@ class Controller(QObject):
         if not (by_playback and self.state.grows):
             self._request_frame()
 
-    def _on_playing(self, playing: bool) -> None:
+    def _on_playing(self) -> None:
+        """Playback or the view of a live source stopped, or goes on."""
         incomplete = bool(self.client.demand.images) or self.client.shown_thinned
-        if not playing and incomplete and self.cold_solved:
+        if not self.state.advancing and incomplete and self.cold_solved:
             self._request_frame()  # else the cold solve delivers them, with a single registration
-        self._schedule_cold_solve()
-        self._request_newest()
-
-    def _on_frozen(self, frozen: bool) -> None:
-        incomplete = self.client.images_outdated or self.client.shown_thinned
-        if frozen and incomplete and self.cold_solved:
-            self._request_frame()
         self._schedule_cold_solve()
         self._request_newest()
 
