@@ -96,7 +96,7 @@ def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
     """Robust least squares on few points, then on all."""
     few = _subsample(points)
     for some in (few, few, points):
-        surface = _reweighted(some, surface, sphere=sphere)
+        surface = refitted(some, surface, sphere=sphere)
         if surface.semi_axes_m.max() > 20.0 * float(np.ptp(few, axis=0).max()):
             raise InputError(
                 "contact-free depth: too flat, no dome fits; inflate the membrane, or choose frames"
@@ -105,8 +105,11 @@ def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
     return surface
 
 
-def _reweighted(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Iteratively reweighted least squares at the spread of the distances from the start."""
+def refitted(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
+    """The surface fitted to other points (k, 3) nearby, as a sphere or with three semi-axes.
+
+    By iteratively reweighted least squares at the spread of their distances from the start.
+    """
     distance = surface.distance(points)
     sigma = max(robust_sigma(distance, center=0.0), 1e-9)
     for _ in range(_STEPS):

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.calibration.dome_checks import check_dome, check_motion
-from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere
+from bubbleviz.calibration.ellipsoid import Ellipsoid, fit_ellipsoid, fit_sphere, refitted
 from bubbleviz.calibration.fit_errors import tile_numbers, tile_side
 from bubbleviz.calibration.free_form import FreeForm, fit_free_form, fold_of, left_out_errors
 from bubbleviz.calibration.rest_frames import (
@@ -338,9 +338,9 @@ def _of_cap(
 ) -> tuple[dict[str, float], np.ndarray, Ellipsoid]:
     """Dimensions of the chosen cap, m, with σ by errors of single pixels; cap of the upper half.
 
-    The latter is fitted to the upper half of the points alone, to first order. On a sphere or an
-    ellipsoid its γ0 equals that of the full fit, up to noise. An inflated sheet differs from either
-    by micrometres, with an error of γ0 of about the difference of the two fits.
+    The latter is fitted to the upper half of the points alone. On a sphere or an ellipsoid its γ0
+    equals that of the full fit, up to noise. An inflated sheet differs from either by micrometres,
+    with an error of γ0 of about the difference of the two fits.
     """
     cap, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     pixels = np.flatnonzero((surfaces.fitted & np.isfinite(samples.statistics.range_m)).ravel())
@@ -354,8 +354,7 @@ def _of_cap(
     kind = ("radius_m",) if sphere else tuple(f"semi_axis_{axis}_m" for axis in "xyz")
     names = "height_m", *kind, *(f"rim_{name}" for name in kind[:2])
     up = cap.normals(points)[:, 2]  # noise hardly turns them, while it selects points by height
-    half = weighted * (up > np.median(up))
-    upper = cap.moved(-np.linalg.solve(half @ J, half @ distance))
+    upper = refitted(points[up > np.median(up)], cap, sphere=sphere)
     values = _sizes(cap, 0.0 * step[0]).tolist()
     return dict(zip(names, values, strict=True)), sigma * np.sqrt(squares), upper
 
