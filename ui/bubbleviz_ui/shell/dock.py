@@ -226,11 +226,9 @@ class OpenPanels(QObject):
     """Tracks the open panels, by their names in scene presets."""
 
     changed = Signal()  # A panel was opened or closed
-    _status_changed = Signal()
 
     def __init__(self, panels: Mapping[str, QWidget], state: SessionState, parent: QObject) -> None:
         super().__init__(parent)
-        self._status_changed.connect(self._on_status_changed)
         self._panels, self._state = panels, state
         for panel in panels.values():
             panel.installEventFilter(self)
@@ -251,15 +249,12 @@ class OpenPanels(QObject):
         for panel in self._panels.values():
             panel.removeEventFilter(self)
 
-    def _on_status_changed(self) -> None:
-        """Update the settings of the status bar; docks do that by their visibility."""
-        self._state.set_panel_open(STATUS, STATUS in self.names)
-
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Detect that a panel was opened or closed; hiding the window does not count."""
         if event.type() in (QEvent.Type.ShowToParent, QEvent.Type.HideToParent):
             if watched is self._panels[STATUS]:
-                self._status_changed.emit()
+                # docks do that by their visibility
+                self._state.set_panel_open(STATUS, STATUS in self.names)
             self.changed.emit()
         return False
 
