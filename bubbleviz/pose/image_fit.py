@@ -94,6 +94,7 @@ class ImageFit:
         self._rest_m = np.full(len(observer.pixel), np.nan)
         self._rest_m[at_rest.ray] = at_rest.range_m
         self._places = camera.center + self._rest_m[:, None] * self._directions
+        self._places2 = np.einsum("ij,ij->i", self._places, self._places)
         self.reset()
 
     def reset(self) -> None:
@@ -183,8 +184,9 @@ class ImageFit:
     def _rendered(self, press: Press, contact: ContactPoints) -> PredictedImage:
         """The membrane and its derivatives in the camera image."""
         mesh = press.part.mesh
-        away = np.linalg.norm(self._places - contact.rest_center, axis=1)
-        close = np.flatnonzero(away < contact.extent_m + _AROUND_M)
+        middle = contact.rest_center
+        away2 = self._places2 - 2.0 * (self._places @ middle) + middle @ middle
+        close = np.flatnonzero(away2 < (contact.extent_m + _AROUND_M) ** 2)
         each = max(1, -(-len(close) // self._max_pixels))
         pixel = close[: len(close) // each * each].reshape(-1, each)
         rays = self._directions[pixel].sum(axis=1)

@@ -21,9 +21,8 @@ from bubbleviz.sensor_model import SensorModel
 
 _LIFTED_M = 1e-4
 """Distance from the object beyond which there is no contact: several times the softness."""
-_OPTIONS = PressOptions(spacing_edges=0.25, finer_m=4e-3, max_steps=40)
-"""Mesh and object points twice as fine. Starting from the blurred estimate needs some eleven
-steps."""
+_OPTIONS = PressOptions(finer_m=4e-3, max_steps=40)
+"""A mesh twice as fine. Starting from the blurred estimate needs some eleven steps."""
 
 
 class ObjectPatchFinder:

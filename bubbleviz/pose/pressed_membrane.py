@@ -36,9 +36,6 @@ from bubbleviz.pose.registration import ContactPoints, directions, spins
 class PressOptions:
     """How finely an object is pressed into the membrane."""
 
-    # distance of the object's points in edges of the mesh: several share a triangle, and edges, on
-    # which they are twice as dense, pass from one triangle to the next without a jump
-    spacing_edges: float = 0.5
     # distance around the patch in which the mesh is twice as fine; 0: nowhere
     finer_m: float = 0.0
     # Newton step that counts as converged: one of 0.5 mm leaves its square over the size of a
@@ -54,6 +51,10 @@ class PressOptions:
 # anywhere on a triangle, and the contact depends smoothly on the pose.
 
 
+_SPACING_EDGES = 0.25
+"""Distance of the object's points in edges of the mesh. Several share a triangle, and edges, on
+which they are twice as dense, pass from one triangle to the next without a jump. On roundings as
+narrow as a triangle, chords of half an edge would be 0.1 to 0.3 mm off: poses of pucks were."""
 _SOFTNESS_M = 2e-5
 """Penetration of a face under twice the gauge pressure, and of an edge under the mean tension: far
 below depth noise, yet not stiffer than the membrane's own triangles, so that Newton's method
@@ -264,7 +265,9 @@ class Press:
     seen: np.ndarray  # (6, 6), takes such a motion to the same without spins in itself
     rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
     push_n: np.ndarray  # (k, 3), force of the object on each node
-    on_face: np.ndarray  # (m,) bool, triangles that touch faces of the object, and no edge
+    # (m,) bool, triangles whose three corners are all closest to some point of the object's faces
+    # that touches, and on which there is no edge
+    on_face: np.ndarray
     tangent: Tangent
     friction_n: np.ndarray  # (k, 3), of the estimate, on each node
     gas_pa: float  # measured absolute pressure; not finite: by the gas law
@@ -298,7 +301,7 @@ class PressedMembrane:
         self._membrane, self._gas, self._options = membrane, gas, options
         self._object = ObjectContact(
             model,
-            options.spacing_edges * self.mesh.edge_length,
+            _SPACING_EDGES * self.mesh.edge_length,
             2.0 * membrane.gauge_pressure_pa,
             membrane.mean_tension,
         )
@@ -406,9 +409,9 @@ def _pressed(
     motions += [np.cross(axis, arms) for axis in unit]
     motions.append(touching.rounding)
     pulls = np.stack([touching.pulled_along(motion, n) for motion in motions])
-    on_face = np.zeros(len(triangles), bool)
-    on_face[touching.triangle] = True
-    on_face[touching.triangle[touching.edge]] = False
+    reached = np.zeros(triangles.shape, bool)
+    reached[touching.triangle, touching.weights.argmax(axis=1)] = True
+    reached[touching.triangle[touching.edge]] = False
     slopes = tangent.moved(pulls)
     # Where a body of revolution spins or a bar slides along itself, its facets move, but the
     # surface that they approximate does not: nor does the membrane.
@@ -426,7 +429,7 @@ def _pressed(
         seen=seen,
         rounding=slopes[6],
         push_n=touching.push(n),
-        on_face=on_face,
+        on_face=np.logical_and.reduce(reached, axis=1),
         tangent=tangent,
         friction_n=friction_n,
         gas_pa=gas_pa,
