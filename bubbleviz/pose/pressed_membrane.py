@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from bubbleviz.membrane import (
     Gas,
@@ -187,9 +188,9 @@ class ObjectContact:
         R = T_B_O[:3, :3]
         places = x[triangles]
         vectors = cross(places[:, 1] - places[:, 0], places[:, 2] - places[:, 0])
-        points, margin = self._points @ R.T + T_B_O[:3, 3], _MAX_DEPTH_M
-        low, high = places.min(axis=(0, 1)) - margin, places.max(axis=(0, 1)) + margin
-        close = np.flatnonzero(np.all((points > low) & (points < high), axis=1))
+        points = self._points @ R.T + T_B_O[:3, 3]
+        below = (points[:, 2] > x[:, 2].min() - _MAX_DEPTH_M) & _below(points, places)
+        close = np.flatnonzero(below | self._active)
         if not len(close):
             close = np.zeros(1, int)  # any one, as a placeholder: it is too far away to touch
         found = TriangleScene(x, triangles).closest(points[close])
@@ -223,6 +224,23 @@ class ObjectContact:
             edge=self._edge[kept],
             rounding=pushing - self._core[kept] @ R.T,
         )
+
+
+def _below(points: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Points (k,) bool that may be below triangles (m, 3, 3): all that are, and few above them.
+
+    A bubble is below its membrane. In a grid of squares as wide as the widest triangle, those above
+    a point have their corners in its square or in a neighbour.
+    """
+    flat, width = places[:, :, :2], np.ptp(places[:, :, :2], axis=1).max()
+    low = flat.min(axis=(0, 1)) - 1.5 * width
+    shape = np.ceil((flat.max(axis=(0, 1)) - low) / width + 2.0).astype(int)
+    highest = np.full(shape, -np.inf)
+    corner = ((flat - low) / width).astype(int)
+    np.maximum.at(highest, (corner[..., 0], corner[..., 1]), places[:, :, 2])
+    highest = ndimage.maximum_filter(highest, 3)
+    square = np.clip((points[:, :2] - low) / width, 0, shape - 1).astype(int)
+    return np.asarray(points[:, 2] < highest[square[:, 0], square[:, 1]])
 
 
 def _limited_to_cone(normals: np.ndarray, wanted: np.ndarray) -> np.ndarray:
