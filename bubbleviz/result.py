@@ -356,6 +356,8 @@ class Pose:
         Contact points and the closest points on the object.
     distance_m : (k,) array
         Signed distance of the contact points from the object, positive outside.
+    others : (r, 4, 4) array
+        Other poses of a search that fit as well, without those in which the object looks the same.
     """
 
     status: PoseStatus
@@ -370,6 +372,7 @@ class Pose:
     points_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     places_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    others: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
     @property
     def origin_covariance(self) -> np.ndarray:

@@ -22,7 +22,7 @@ from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError, check_seconds
-from bubbleviz.files import refuse_existing, refuse_input
+from bubbleviz.files import pose_numbers, refuse_existing, refuse_input
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
@@ -37,9 +37,10 @@ from bubbleviz.recordings import (
     has_returns,
     shown_name,
 )
-from bubbleviz.result import TRUSTED, PoseStatus
+from bubbleviz.result import TRUSTED, PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
+from bubbleviz.wording import count_of
 from bubbleviz.zeros import Zeros, zeros_of
 
 if TYPE_CHECKING:
@@ -314,9 +315,11 @@ def track(
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zeros=zeros)
+        others = ""
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
-        run.warn(chosen.note, *frame_solver.warnings("recording"))
+            others = others or _other_poses(result)
+        run.warn(chosen.note, *frame_solver.warnings("recording"), others)
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -476,6 +479,19 @@ _REASONS: dict[PoseStatus, str] = {
     "the unit of depth, and uncover the camera",
     "lost": "the object does not fit the contact; check --object, --unit and --init",
 }
+
+
+def _other_poses(result: Result) -> str:
+    """What to do where a search found poses that are as likely; empty where it did not."""
+    others = [] if result.pose is None else list(result.pose.others)
+    if not others:
+        return ""
+    numbers = (" ".join(f"{each:.4f}" for each in pose_numbers(other)) for other in others)
+    return (
+        f"{count_of(len(others), 'other pose')} fit frame {result.frame.index}, where the object "
+        "was searched, as well; if it is turned in the result, give one of them as init: "
+        + ", ".join(map(repr, numbers))
+    )
 
 
 def _check_any_pose(run: Run) -> None:

@@ -1,5 +1,6 @@
 from .dual_stage import (
     InitialPoseFinder as InitialPoseFinder,
+    looking_different as looking_different,
     touching_directions as touching_directions,
 )
 from .image_fit import (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
@@ -43,6 +44,9 @@ frame, and the first pose of an object has converged. At two thirds of the longe
 the derivatives is less than half."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
+_AS_LIKELY = 12.6
+"""Misfit in units of the noise, squared, by which that of the true pose exceeds the smallest one in
+one of 20 cases: χ² of six degrees of freedom."""
 
 
 class Solution(NamedTuple):
@@ -119,12 +123,16 @@ class Solver:
     def best(
         self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
     ) -> Solution | None:
-        """Both stages from the best of initial poses (s, 4, 4); None if none fits."""
+        """Both stages from the best of initial poses (s, 4, 4); None if none fits.
+
+        The pose has the others that fit as well.
+        """
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
         coarse = [
             self._registration.stage_one(contact, motion, iterations=_SEARCH_ITERATIONS)
             for motion in motions
         ]
+        coarse.sort(key=lambda fit: fit.cost)
         found = [
             self.solve(
                 frame,
@@ -132,10 +140,15 @@ class Solver:
                 Motion.at_rest(fit.T_B_O, SEARCH_DEVIATION, contact.center),
                 tracking=False,
             )
-            for fit in sorted(coarse, key=lambda fit: fit.cost)[:finalists]
+            for fit in coarse[:finalists]
         ]
         good = [solution for solution in found if solution.fit.fitness >= _FOUND_FITNESS]
-        return min(good, key=lambda solution: solution.fit.cost, default=None)
+        best = min(good, key=lambda solution: solution.fit.cost, default=None)
+        if best is None:
+            return None
+        likely = [fit.T_B_O for fit in coarse if fit.cost < coarse[0].cost + _AS_LIKELY]
+        others = looking_different(self._registration.model, best.pose.T_B_O, likely)
+        return best._replace(pose=replace(best.pose, others=others))
 
     def _image_fit(
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
@@ -180,8 +193,44 @@ TURNS = (
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
+_SAMPLES, _ALIGNING, _ALIKE = 200, 6, 0.02
+"""Points of an object that are compared with its surface, steps of their registration, and their
+distance over its size up to which it looks the same; chosen."""
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _CLIPPED_M = 5e-3  # larger distances are clipped
+
+
+def looking_different(
+    model: ObjectSurface, T_B_O: np.ndarray, others: Sequence[np.ndarray]
+) -> np.ndarray:
+    """Those of other poses (r, 4, 4) that turn the object so that it looks different.
+
+    From the given pose and from each other. Shifts do not count, as a flat face slides.
+    """
+    kept = [T_B_O]
+    for other in others:
+        if not any(_looks_alike(model, known[:3, :3].T @ other[:3, :3]) for known in kept):
+            kept.append(other)
+    return np.array(kept[1:]).reshape(-1, 4, 4)
+
+
+def _looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
+    """Whether a turn (3, 3), or one by less than half the angle between starts away, is a symmetry.
+
+    Points of the turned surface are registered to it, by rotation alone.
+    """
+    points, R = model.sample(_SAMPLES)[0], Rotation.from_matrix(turn)
+    middle = 0.5 * (model.obj.vertices.min(axis=0) + model.obj.vertices.max(axis=0))
+    arms = points - middle
+    for _ in range(_ALIGNING):
+        turned = R.apply(arms)
+        found = model.closest(turned + middle)
+        way = found.place - middle - turned
+        along = np.einsum("ij,ij->i", way, found.normal)
+        step = np.linalg.lstsq(np.cross(turned, found.normal), along, rcond=None)[0]
+        R = Rotation.from_rotvec(step) * R
+    away = (R * Rotation.from_matrix(turn).inv()).magnitude()
+    return bool(np.abs(way).max() < _ALIKE * model.size_m and away < np.pi / TURNS)
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:

@@ -2,9 +2,11 @@
 
 import csv
 import json
+import re
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.files import read_path
@@ -13,7 +15,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import load_sensor
-from tests.program import output_of, refusal
+from tests.program import output_of, refusal, run
 
 PRESET = "pico_flexx_75mm"
 HEADER = (
@@ -60,6 +62,23 @@ def test_poses_equal_those_of_the_simulation(folder):
     summary = json.loads(told)
     assert summary["status"] == {"no_contact": 1, "ok": 3}
     assert summary["median_fitness"] > 0.8
+
+
+def test_a_search_lists_the_other_poses_that_fit_as_well(tmp_path):
+    """A cuboid touches lightly; each pose can be given as the first one."""
+    mesh, rows = tmp_path / "box.stl", ["time_s,x_m,y_m,z_m,qx,qy,qz,qw", "0,0,0,0.062,0,0,0,1"]
+    trimesh.creation.box((0.024, 0.018, 0.030)).export(mesh)
+    (tmp_path / "path.csv").write_text("\n".join(rows))
+    given = "--sensor", PRESET, "--object", mesh, "--out"
+    output_of("simulate", *given, tmp_path / "rec.mcap", "--path", tmp_path / "path.csv")
+    command = "pose", tmp_path / "rec.mcap", *given, tmp_path / "poses.csv", "--overwrite"
+    told = run(*command).stderr
+    assert "fit frame 0, where the object was searched, as well" in told
+    others = re.findall("'([^']+)'", told)
+    assert len(others) >= 2
+    for each in others:
+        done = run(*command, "--init", each)
+        assert (done.exit_code, done.stderr) == (0, "")
 
 
 def test_area_of_the_object_patch_is_an_optional_column(folder):

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import MembraneView
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import build_mesh
+from bubbleviz.membrane import ObjectSurface, build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import motion_between, moved
+from bubbleviz.pose import looking_different, motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
@@ -103,6 +105,37 @@ def test_without_a_start_it_is_searched_for(pipeline, source):
     # what the contact determines: feet on the membrane, that is height and tilt
     assert abs(pose.T_B_O[2, 3] - source.poses[0][2, 3]) < 1.5e-3
     assert pose.T_B_O[2, 2] > np.cos(np.radians(4.0))
+
+
+def cuboid(*sides_m):
+    box = trimesh.creation.box(sides_m)
+    return RigidObject("cuboid", np.array(box.vertices), np.array(box.faces))
+
+
+def turned(axis, degrees):
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler(axis, degrees, degrees=True).as_matrix()
+    return T
+
+
+def test_poses_in_which_an_object_looks_different():
+    box = ObjectSurface(cuboid(0.024, 0.018, 0.030))
+    ways = [turned("x", 180), turned("z", 175), turned("x", 90), turned("x", -90), turned("z", 90)]
+    found = looking_different(box, turned("z", 180), ways)
+    np.testing.assert_allclose(found, [turned("x", 90), turned("z", 90)], atol=1e-12)
+    assert not len(looking_different(ObjectSurface(study_object("sphere")), np.eye(4), ways))
+
+
+def test_a_search_tells_the_other_poses_that_fit_as_well(pipeline, sensor):
+    """Of a light press the membrane does not show which face of a cuboid touches it."""
+    T = turned("z", 20.0)
+    T[2, 3] = 0.062
+    pressed = SyntheticSource(sensor, cuboid(0.024, 0.018, 0.030), T[None], nodes=4_000)
+    pipeline.track(pressed.obj)
+    pose = pipeline.process(pressed[0], PRODUCTS).pose
+    model = ObjectSurface(pressed.obj)
+    assert len(looking_different(model, pose.T_B_O, pose.others)) == len(pose.others) > 0
+    assert any(abs(each[2, 2]) > np.cos(np.radians(5.0)) for each in pose.others)  # the true face
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, 0.2, 0.5), None])
