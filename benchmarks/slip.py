@@ -16,7 +16,7 @@ from bubbleviz.camera import FlowField, MembraneView
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.shear import FlowPreset, OpticalFlow
+from bubbleviz.shear import OpticalFlow
 from bubbleviz.simulation import PrintedMembrane
 from bubbleviz.study.harness import Case, Column, Report, Study, Table, at_most
 from tests.oracles.flow_sighting import sighting
@@ -28,16 +28,15 @@ _STEP_M, _SLIP_M = 1e-4, 2.5e-4  # of the object in a frame of either kind
 _RING = 0.55  # of the contact's radius, from which on it slips
 _FLOW_PX = 0.03
 EXACT = f"{_FLOW_PX:g} px"  # `SlipTrial.flow` of exact flow with noise
-_PRESETS: tuple[FlowPreset, ...] = ("fast", "balanced")
-_AT_REST = 8  # images without contact that a preset learns from
+_AT_REST = 8  # images without contact that optical flow learns from
 
 
 @dataclass(frozen=True)
 class SlipTrial:
     """One drag of one contact, measured by one flow.
 
-    `radius_m` is of the circle with the contact's area; `flow` the noise of an exact flow, or the
-    preset of optical flow in rendered images. While everything sticks, slip is evaluated at
+    `radius_m` is of the circle with the contact's area; `flow` the noise of an exact flow, or
+    "rendered" for optical flow in rendered images. While everything sticks, slip is evaluated at
     `points` (median, 0 if too few). Of `judged` frames without slip, `alarms` are false alarms;
     `found_in` is the frame of slip, from 1, of its first detection, NaN if never.
     """
@@ -74,9 +73,8 @@ def _slip(grid: ShearGrid, depth_m: float) -> list[SlipTrial]:
     still = np.zeros(len(truths[0].mesh.nodes))
     rest = [printed.image(still, k) for k in range(_AT_REST)]
     images = [printed.image(t.displacement_m, _AT_REST + k) for k, t in enumerate(truths)]
-    for preset in _PRESETS:
-        flow = OpticalFlow.of(rest, preset)
-        trials.append(_trial(model, radius_m, preset, depths, [*map(flow.measure, images)]))
+    flow = OpticalFlow.of(rest)
+    trials.append(_trial(model, radius_m, "rendered", depths, [*map(flow.measure, images)]))
     return trials
 
 

@@ -1,5 +1,4 @@
 from .optical_flow import (
-    FlowPreset as FlowPreset,
     OpticalFlow as OpticalFlow,
 )
 from .slip import (

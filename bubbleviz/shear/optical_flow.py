@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 
@@ -89,11 +89,9 @@ def motion_bound(
         return np.where(least > 0.0, np.sqrt(noise / least), np.inf)
 
 
-FlowPreset = Literal["fast", "balanced", "fine"]
-"""Finest level of the pyramid and rounds of refinement, a trade-off of time and error. The default
-is the fastest with the same force error as the others (`benchmarks shear`)."""
-
-_PYRAMID: dict[FlowPreset, tuple[int, int]] = {"fast": (2, 0), "balanced": (1, 0), "fine": (1, 5)}
+_FINEST = 2
+"""Finest level of the search's pyramid: force has the same error with 1, and with rounds of
+variational refinement."""
 _SMOOTHED_PX, _WINDOW_PX, _ROUNDS = 2 * BLOCK_PX + 1, 15, 2
 """Sides of the squares over which a search is averaged twice, and whose motion is measured, odd;
 and searches, each for what the one before has left: of 9 to 25, 9 to 21, and 1 and 2 those with the
@@ -116,7 +114,6 @@ class OpticalFlow:
 
     Attributes
     ----------
-    preset : {"fast", "balanced", "fine"}
     shape : (int, int)
         Height and width of the images.
     pixel : (b,) int array
@@ -131,16 +128,15 @@ class OpticalFlow:
     def __init__(
         self,
         reference: np.ndarray,
-        preset: FlowPreset,
         pixel: np.ndarray,
         noise_px: np.ndarray,
         problem: str,
     ) -> None:
-        self.preset, self.shape = preset, reference.shape
+        self.shape = reference.shape
         self.pixel, self.noise_px = pixel, noise_px
         self.problem = problem
         self._reference = reference
-        self._search = _search(preset)
+        self._search = _search()
         levels = np.ones_like(reference)
         self._px_per_level = motion_bound(reference, levels, _WINDOW_PX).ravel()[pixel]
 
@@ -148,26 +144,19 @@ class OpticalFlow:
     def of(
         cls,
         images: Iterable[np.ndarray],  # iterable of (H, W) uint8 arrays, grey, of at least 5 frames
-        preset: FlowPreset = "fast",
         mask: np.ndarray | None = None,  # (H, W) bool, pixels that see the membrane
     ) -> OpticalFlow:
         """Learn the reference and the noise from contact-free images.
 
-        Raises InputError: too few images, sizes that differ, an unknown preset, or OpenCV is not
-        installed.
+        Raises InputError: too few images, sizes that differ, or OpenCV is not installed.
         """
-        if preset not in get_args(FlowPreset):
-            raise InputError(
-                f"optical flow: no preset {preset!r}; choose one of "
-                f"{', '.join(get_args(FlowPreset))}"
-            )
         stack = _stacked(images)
         mean = stack.mean(axis=0, dtype=np.float32)
         stack = stack[:: -(-len(stack) // _MAX_IMAGES)]
         reference = normalised(mean)
         frames = [normalised(image) for image in stack]
         bound = motion_bound(reference, _grey_variance(np.stack(frames)), _WINDOW_PX)
-        search, middle = _search(preset), _block_centres(np.arange(mean.size).reshape(mean.shape))
+        search, middle = _search(), _block_centres(np.arange(mean.size).reshape(mean.shape))
         flows = [_motions(search, reference, each, middle.ravel())[0] for each in frames]
         variance = np.var(flows, axis=0, ddof=1).max(axis=-1).reshape(middle.shape)
         noise = np.maximum(_block_centres(bound), np.sqrt(variance))
@@ -176,7 +165,6 @@ class OpticalFlow:
         good = (noise < _LARGEST_SIGMA_PX) & ~saturated & ~hidden
         return cls(
             reference,
-            preset,
             middle[good],
             noise[good],
             _reason_unusable(good, saturated & ~hidden, hidden),
@@ -211,12 +199,11 @@ class OpticalFlow:
         return FlowField(np.empty(0, int), np.empty((0, 2)), np.empty(0), self.shape, problem)
 
 
-def _search(preset: FlowPreset) -> Any:
+def _search() -> Any:
     cv2 = opencv()
     search = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    finest, rounds = _PYRAMID[preset]
-    search.setFinestScale(finest)
-    search.setVariationalRefinementIterations(rounds)
+    search.setFinestScale(_FINEST)
+    search.setVariationalRefinementIterations(0)
     return search
 
 

@@ -9,7 +9,7 @@ from bubbleviz.camera import ColourCamera, DepthCamera, FlowField, readable
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import LAG, MIN_FRAMES, NO_COLOUR, Frame, Recording, placed
 from bubbleviz.result import Result
-from bubbleviz.shear.optical_flow import FlowPreset, OpticalFlow
+from bubbleviz.shear.optical_flow import OpticalFlow
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,10 +99,9 @@ class PassingTexture:
     def __init__(
         self,
         pipeline: Pipeline,  # by depth only until then
-        preset: FlowPreset = "fast",
     ) -> None:
         self.words = ""
-        self._pipeline, self._preset = pipeline, preset
+        self._pipeline = pipeline
         self._images: dict[int, np.ndarray] | None = {}  # None after they are collected
         self._recent: dict[int, np.ndarray] = {}  # colour may show a contact before depth
         pipeline.use_optical_flow(None)
@@ -147,7 +146,7 @@ class PassingTexture:
         reference = f"{len(images)} images without contact{delay_text(delay_s)}"
         try:
             camera = flow_camera(colour, self._pipeline.camera, "colour camera")
-            flow = OpticalFlow.of(images.values(), self._preset)
+            flow = OpticalFlow.of(images.values())
             texture = TextureFlow(flow, reference, colour.remark)
             texture.attach_to(self._pipeline, camera)
         except InputError as error:
@@ -162,7 +161,6 @@ class PassingTexture:
 def recorded_texture(
     recording: Recording,
     contact_free: Sequence[int],  # frames before the first contact
-    preset: FlowPreset = "fast",
     colour_delay_s: float = 0.0,
 ) -> TextureFlow:
     """Learn reference and noise from the images before the first contact.
@@ -178,7 +176,7 @@ def recorded_texture(
             f"contact, there are {len(seen)}; record a second without contact first, or do without "
             "shear (--shear)"
         )
-    flow = OpticalFlow.of(seen.values(), preset)
+    flow = OpticalFlow.of(seen.values())
     reference = f"contact-free frames {min(seen)}–{max(seen)}{delay_text(colour_delay_s)}"
     assumption = "" if recording.colour is None else recording.colour.camera.remark
     return TextureFlow(flow, reference, assumption)
@@ -188,7 +186,6 @@ def watch_recorded_texture(
     pipeline: Pipeline,
     recording: Recording,
     contact_free: Callable[[], Sequence[int]],  # finds the frames before the first contact
-    preset: FlowPreset = "fast",
 ) -> str:
     """Have a pipeline estimate tractions by a recording's colour images; returns a description.
 
@@ -197,8 +194,7 @@ def watch_recorded_texture(
     if recording.colour is None:
         raise InputError(f"{recording.path}: {NO_COLOUR}; record them, or leave out --shear")
     camera = flow_camera(recording.colour.camera, pipeline.camera, str(recording.path))
-    texture = recorded_texture(
-        recording, contact_free(), preset, pipeline.model.sensor.camera.colour_delay_s
-    )
+    delay_s = pipeline.model.sensor.camera.colour_delay_s
+    texture = recorded_texture(recording, contact_free(), delay_s)
     texture.attach_to(pipeline, camera)
     return texture.remark

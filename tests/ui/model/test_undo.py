@@ -47,7 +47,6 @@ CHANGES = {
     "pose_start": (0.0, 0.0, 0.05, 0.0, 0.0, 0.0, 1.0),
     "pose_track": True,
     "pose_stage": 1,
-    "flow_preset": "fine",
     "compared": (ComparedSetting(nodes=300), ComparedSetting(solver="osqp")),
     "picture_size": (800, 600),
     "pre_roll_s": 5.0,

@@ -14,7 +14,7 @@ from bubbleviz.result import FlowFit, Slip, Traction
 from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.engine.shear_reference import NEEDS_RUBBER
 from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.model.demand import Demand, needed_products
+from bubbleviz_ui.model.demand import needed_products
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Unit, Units
@@ -48,10 +48,6 @@ def test_traction_is_requested_only_by_what_shows_it():
     plots = replace(NOTHING, panels=frozenset({"plots"}), plots=frozenset({"slip"}))
     assert needed_products(plots) == {"slip"}
     assert not needed_products(Settings()) & {"flow", "traction", "slip", "texture"}
-    # another preset changes the demand only while shear is visible
-    for settings, same in ((panel, False), (NOTHING, True)):
-        other = Demand.of(replace(settings, flow_preset="fine"))
-        assert Demand.of(settings).covers(other) is same
 
 
 def test_hidden_panel_and_flow_image_compute_nothing_and_the_scene_opens_it(drive, rubber):
@@ -195,12 +191,6 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     assert alone["tangential"] == words["tangential"] and alone["displacement"] == "–"
     text = shear_report(dragged(driver), Units())
     assert "Along normal: 3.00 ± 0.20 N" in text.splitlines()
-    # the preset can be undone
-    panel, window = driver.window.shear, driver.window
-    panel.flow.setCurrentIndex(panel.flow.findData("fine"))
-    assert driver.state.settings.flow_preset == "fine"
-    window.undo_stack.undo()
-    assert driver.state.settings.flow_preset == "fast"
 
 
 class PressedSpeckles(SpeckledSource):

@@ -93,9 +93,8 @@ class Analysis(QObject):
     def _request_rest(self) -> None:
         self.progressed.emit(self._count - len(self._frames), self._count)
         if self._frames:
-            settings = self._state.settings
-            options = FrameOptions(*settings.patch_rule)
-            demand = Demand(self._products, options, settings.flow_preset)
+            options = FrameOptions(*self._state.settings.patch_rule)
+            demand = Demand(self._products, options)
             frames, client = self._frames, self._client()
             function = partial(client.solver.analyse, frames, demand, cached_only=self._cached_only)
             client.worker.submit(function, partial(self._take, frames, demand), key="analyse")

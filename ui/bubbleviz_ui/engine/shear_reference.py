@@ -12,7 +12,7 @@ from bubbleviz.result import Result
 from bubbleviz_ui.model.demand import Demand
 
 if TYPE_CHECKING:
-    from bubbleviz.shear import FlowPreset, PassingTexture
+    from bubbleviz.shear import PassingTexture
 
 
 MAX_SEARCHED = 3000
@@ -29,13 +29,13 @@ class ShearReference:
 
     def __init__(self) -> None:
         self.message = ""  # Description of the reference, or why there is none
-        self._preset: FlowPreset | None = None
+        self._begun = False
         self._possible = True
         self._passing: PassingTexture | None = None
 
     def reset(self) -> None:
         """Search the reference again at the next frame."""
-        self._preset = None
+        self._begun = False
 
     def products(
         self, source: FrameSource, pipeline: Pipeline, demand: Demand
@@ -43,9 +43,9 @@ class ShearReference:
         """Products of a demand that are possible; provides the reference if needed."""
         if not demand.products & FLOW_PRODUCTS:
             return demand.products
-        if demand.flow_preset != self._preset:
-            self._preset, self._passing = demand.flow_preset, None
-            self._begin(source, pipeline, demand.flow_preset)
+        if not self._begun:
+            self._begun, self._passing = True, None
+            self._begin(source, pipeline)
         return demand.products if self._possible else demand.products - FLOW_PRODUCTS
 
     def add_frame(self, result: Result) -> None:
@@ -54,7 +54,7 @@ class ShearReference:
             self._passing.take(result)
             self.message = self._passing.words
 
-    def _begin(self, source: FrameSource, pipeline: Pipeline, preset: FlowPreset) -> None:
+    def _begin(self, source: FrameSource, pipeline: Pipeline) -> None:
         # slow imports that only shear needs
         from bubbleviz.recordings import find_contact_free
         from bubbleviz.shear import PassingTexture, watch_recorded_texture
@@ -64,12 +64,12 @@ class ShearReference:
             self.message = NEEDS_RUBBER
             return
         if not isinstance(source, Recording) or source.colour is None or len(source) > MAX_SEARCHED:
-            self._passing = PassingTexture(pipeline, preset)
+            self._passing = PassingTexture(pipeline)
             return
         pipeline.use_optical_flow(None)
         try:
             self.message = watch_recorded_texture(
-                pipeline, source, lambda: find_contact_free(source).frames, preset
+                pipeline, source, lambda: find_contact_free(source).frames
             )
         except InputError as error:
             self.message = f"Depth alone: {error}"

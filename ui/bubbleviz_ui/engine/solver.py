@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, is_dataclass, replace
 from functools import partial
 from threading import Event
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -41,9 +41,6 @@ from bubbleviz_ui.engine.source import NO_SOURCE, Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
-
-if TYPE_CHECKING:
-    from bubbleviz.shear import FlowPreset
 
 N = TypeVar("N")
 ComparedOptions = tuple[EstimatorOptions, FrameOptions]
@@ -120,7 +117,7 @@ class EstimateCache:
     def __init__(self, most_bytes: int = CACHE_BYTES) -> None:
         self._kept: OrderedDict[int, Kept] = OrderedDict()
         self._sizes: dict[int, int] = {}
-        self._flow: FlowPreset | None = None
+        self._flow = False
         self._most = most_bytes
 
     def get(self, frame: int) -> Kept | None:
@@ -141,8 +138,8 @@ class EstimateCache:
             oldest, _ = self._kept.popitem(last=False)
             del self._sizes[oldest]
 
-    def use(self, flow: FlowPreset | None) -> None:
-        """Drop all if forces use colour images otherwise from now on; None: by depth alone."""
+    def use(self, *, flow: bool) -> None:
+        """Drop all if forces use colour images from now on, and did not before, or the reverse."""
         if flow != self._flow:
             self._flow = flow
             self._kept.clear()
@@ -228,7 +225,7 @@ class OpenSource:
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
         if self.has_colour:
-            self.estimates.use(demand.flow)
+            self.estimates.use(flow=demand.flow)
         estimate = None if products & FLOW_PRODUCTS else self.estimates.final(frame.index)
         if cold and estimate is None:
             pipeline.restart()

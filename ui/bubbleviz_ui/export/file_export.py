@@ -51,6 +51,6 @@ def export_to_files(
         by_colour = pipeline.optical_flow is not None
     finally:
         source.close()
-    forces = "" if demand.flow is None else f", forces by depth{' and colour' * by_colour}"
+    forces = f", forces by depth{' and colour' * by_colour}" if demand.flow else ""
     files = "" if not plan.is_folder else f", {count_of(done.files, 'file')}"
     return f"Exported {count_of(done.frames, 'frame')} to {done.out}{files}{forces}"

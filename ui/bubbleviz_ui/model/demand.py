@@ -31,7 +31,6 @@ from bubbleviz_ui.model.registry import (
 from bubbleviz_ui.model.settings import Settings
 
 if TYPE_CHECKING:
-    from bubbleviz.shear import FlowPreset
     from bubbleviz_ui.model.settings import PatchRule
 
 
@@ -50,13 +49,12 @@ class Demand:
 
     products: Products
     options: FrameOptions = field(default_factory=FrameOptions)  # Of patch and cloud
-    flow_preset: FlowPreset = "fast"
 
     @classmethod
     def of(cls, settings: Settings) -> Demand:
         """Demand of the visible layers and panels."""
         options = FrameOptions(*settings.patch_rule, settings.cloud_points)
-        return cls(needed_products(settings), options, settings.flow_preset)
+        return cls(needed_products(settings), options)
 
     @property
     def patch_rule(self) -> PatchRule:
@@ -73,9 +71,9 @@ class Demand:
         return replace(self, products=self.products - self.images)
 
     @property
-    def flow(self) -> FlowPreset | None:
-        """How forces use colour images; None: forces by depth alone."""
-        return self.flow_preset if self.products & FLOW_PRODUCTS else None
+    def flow(self) -> bool:
+        """Whether forces use colour images, not depth alone."""
+        return bool(self.products & FLOW_PRODUCTS)
 
     @property
     def needs_colour(self) -> bool:

@@ -307,13 +307,6 @@ class Settings(_SettingsBase):
         "Pose to draw: after both stages of the registration, or after stage one",
         titles={2: "both stages", 1: "stage one"},
     )
-    # Preset of the optical flow from which shear is measured
-    flow_preset: Literal["fast", "balanced", "fine"] = _setting(
-        "fast",
-        "Optical flow",
-        "Optical flow of the colour images; balanced and fine take longer for finer motion",
-        titles=_own_titles("fast", "balanced", "fine"),
-    )
     # Settings A and B of the Compare panel
     compared: tuple[ComparedSetting, ComparedSetting] = _setting(
         (ComparedSetting(), ComparedSetting(solver="linear")), "compared settings"

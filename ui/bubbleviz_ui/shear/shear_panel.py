@@ -21,7 +21,6 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Unit, Units
 from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.binding import control, form
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.theme import BLUE
 
@@ -143,7 +142,6 @@ class ShearPanel(QWidget):
             "Find the contact-free colour images again; do not touch a live sensor meanwhile",
             controller.find_reference,
         )
-        self.flow = control(state, "flow_preset")
         self.state = QLabel(DASH, wordWrap=True)
         self.values = {name: QLabel(DASH, wordWrap=True) for name in NUMBERS}
         for name, label in self.values.items():
@@ -158,18 +156,16 @@ class ShearPanel(QWidget):
         state.follow({*UNIT_CHOICES, "panels"}, self._write)
 
     def _lay_out(self) -> None:
-        numbers, settings = QFormLayout(), form(self.flow)
+        numbers = QFormLayout()
+        numbers.setHorizontalSpacing(16)
         for name, title in NUMBERS.items():
             numbers.addRow(title, self.values[name])
-        for rows in (numbers, settings):
-            rows.setHorizontalSpacing(16)
         fill(
             QVBoxLayout(self),
             self.state,
             numbers,
             fill(QHBoxLayout(), QLabel("±: 95 % interval"), 1, self.copy),
             self.plot,
-            settings,
             self.reference,
             fill(QHBoxLayout(), self.search_reference, 1),
             1,

@@ -26,7 +26,7 @@ from bubbleviz_ui.shell.theme import bold
 
 SIZE = (440, 400)  # px
 SECTIONS = {
-    "Solver and patch": ("solver", "least_area_m2", "flow_preset"),
+    "Solver and patch": ("solver", "least_area_m2"),
     "Playback": ("speed", "every_frame", "loop"),
     "View": ("membrane_opacity", "exaggeration", "section_axis", "cloud_colour", "cloud_points"),
     "Theme and colours": ("theme", "colour_map", "pressure_max_pa", "residual_max_m"),
