@@ -31,8 +31,7 @@ class FineContact:
     """Contact of an estimate on a locally refined mesh, see `inverse.contact_refiner`."""
 
     mesh: MembraneMesh  # the part of the reference surface around the contact, k nodes
-    # (k, 2) or (k, 4) int, nodes of the full mesh midway between which each node lies; all the same
-    # for nodes of the full mesh
+    # (k, 2) or (k, 4) int, nodes of the full mesh whose mean each node is; all the same for its own
     ends: np.ndarray
     edge_m: float  # mean length of the mesh's edges at the contact
     contact_pressure_pa: np.ndarray  # (k,), p_c, Pa

@@ -37,10 +37,9 @@ from bubbleviz.recordings import (
     has_returns,
     shown_name,
 )
-from bubbleviz.result import TRUSTED, PoseStatus, Result
+from bubbleviz.result import TRUSTED, Pose, PoseStatus
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
-from bubbleviz.wording import count_of
 from bubbleviz.zeros import Zeros, zeros_of
 
 if TYPE_CHECKING:
@@ -315,11 +314,12 @@ def track(
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zeros=zeros)
-        others = ""
+        others: str | None = None
         for result in solved(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
-            others = others or _other_poses(result)
-        run.warn(chosen.note, *frame_solver.warnings("recording"), others)
+            if others is None and result.pose is not None and result.pose.status == "ok":
+                others = _other_poses(result.frame.index, result.pose)
+        run.warn(chosen.note, *frame_solver.warnings("recording"), others or "")
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -481,16 +481,15 @@ _REASONS: dict[PoseStatus, str] = {
 }
 
 
-def _other_poses(result: Result) -> str:
-    """What to do where a search found poses that are as likely; empty where it did not."""
-    others = [] if result.pose is None else list(result.pose.others)
-    if not others:
+def _other_poses(index: int, pose: Pose) -> str:
+    """What to do where other poses are as likely as the first one; empty where none is."""
+    if not len(pose.others):
         return ""
-    numbers = (" ".join(f"{each:.4f}" for each in pose_numbers(other)) for other in others)
+    numbers = (" ".join(f"{each:.4f}" for each in pose_numbers(other)) for other in pose.others)
     return (
-        f"{count_of(len(others), 'other pose')} fit frame {result.frame.index}, where the object "
-        "was searched, as well; if it is turned in the result, give one of them as init: "
-        + ", ".join(map(repr, numbers))
+        f"other poses fit frame {index}, where the object was searched, as well "
+        f"({len(pose.others)} found): if the object is turned in the result, start from one of "
+        f"them (--init): {', '.join(map(repr, numbers))}"
     )
 
 

@@ -66,7 +66,7 @@ def _check_no_dent(
 ) -> None:
     """Refuse a dome that is pressed in, as by a contact in every frame.
 
-    A surface is fitted robustly and as smooth as the dome: it does not follow a dent.
+    The chosen surface is fitted robustly, and too smooth to follow a dent.
     """
     inner = away_from_edges(filled, samples.statistics.correlation_length_px + 1.0)
     measured = inner & np.isfinite(residual_m)

@@ -93,7 +93,7 @@ def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellips
 
 
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Robust least squares on few points, then on all."""
+    """Robust least squares on few points, at the spread of the first fit again, then on all."""
     few = _subsample(points)
     for some in (few, few, points):
         surface = refitted(some, surface, sphere=sphere)

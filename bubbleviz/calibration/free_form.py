@@ -26,7 +26,8 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import robust_sigma, tukey_weights
 
 _FOLDS = 5  # of the cross-validation; the usual number
-_TRIED, _TOLERANCE = 8.0, 0.2  # half decades of λ about the one of equal traces
+_TRIED, _TOLERANCE = 8.0, 0.2
+"""Half decades searched on either side of the λ of equal traces, and to what accuracy; chosen."""
 LeftOut = Callable[[float], np.ndarray]
 """Errors (k,) float32, m, at a λ in half decades over that of equal traces."""
 _RELINEARISATIONS = 4  # Gauss–Newton steps; the last ones move by micrometres

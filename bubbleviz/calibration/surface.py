@@ -221,8 +221,8 @@ def _left_out_squares(
         J, distance = cap.derivatives(points, sphere=name == "sphere"), cap.distance(points)
         size = J.shape[1]
         free = sparse.csc_array((size, size))  # no prior
-        refitted = left_out_errors(sparse.csr_array(J), distance, weights, fold, free, size - 1)
-        errors[name] = refitted(0.0)
+        left_out = left_out_errors(sparse.csr_array(J), distance, weights, fold, free, size - 1)
+        errors[name] = left_out(0.0)
     total = np.maximum(np.bincount(tile, weights), 1e-9)
     counted = np.bincount(tile, weights > 0.0) > 0
     return {
@@ -299,12 +299,13 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
         "ellipsoid": _cap_tension(surfaces.cap, len(surfaces.mesh.nodes)),
         "free-form": balance_tension(free_form.mesh, 1.0),
     }
-    own: SurfaceName = "ellipsoid" if chosen == "free-form" else chosen
-    shape = [free_form.sigma_m[0] * together, by_surface["free-form"] - by_surface[own]]
+    cap = surfaces.cap if chosen == "free-form" else surfaces.chosen_cap
+    own = _cap_tension(cap, len(surfaces.mesh.nodes))  # by the same mesh, also of a sphere
+    shape = [free_form.sigma_m[0] * together, by_surface["free-form"] - own]
     sizes, sigmas = {"height_m": float(free_form.mesh.nodes[:, 2].max())}, free_form.sigma_m[1:]
     if chosen != "free-form":
         sizes, sigmas, upper = _of_cap(samples, surfaces)
-        shape.append(_cap_tension(upper, len(surfaces.mesh.nodes)) - by_surface[own])
+        shape.append(_cap_tension(upper, len(surfaces.mesh.nodes)) - own)
     facets = facet_error(surfaces.mesh) / np.sqrt(3.0)  # uniform distribution over ± that
     value, sheet = by_surface[chosen], as_flat_sheet(surfaces.mesh)
     excess = 0.0 if sheet is None else value * sheet[1]
@@ -362,5 +363,5 @@ def _of_cap(
 def _sizes(cap: Ellipsoid, step: np.ndarray) -> np.ndarray:
     """Height, radius or semi-axes, and radius or semi-axes of the rim after a step, m."""
     axes = cap.semi_axes_m[: len(step) - 3] + step[3:]
-    height = cap.centre_m[2] + step[2]
-    return np.array([height + axes[-1], *axes, *axes[:2] * np.sqrt(1.0 - (height / axes[-1]) ** 2)])
+    centre = cap.centre_m[2] + step[2]
+    return np.array([centre + axes[-1], *axes, *axes[:2] * np.sqrt(1.0 - (centre / axes[-1]) ** 2)])

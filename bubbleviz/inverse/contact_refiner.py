@@ -40,7 +40,7 @@ with refinement and 0.89 without, where 3,000 nodes have 0.95 and take six times
 """
 _MOST_NODES, _MOST_TWICE = 100, 12
 """Most nodes of a contact that is refined, and refined twice: the time grows with the square of the
-number of finer nodes, and is some 80 ms for the 200 of the latter."""
+number of finer nodes, and is some 80 ms for the 200 finer nodes of one that is refined twice."""
 _FINER_RINGS, _MOVING_RINGS = 2, 6
 """Rings of nodes around the contact that are refined, and rings around those that may move. In the
 hold of the real press, 4 of the latter change the area, 6 do not."""
@@ -96,7 +96,7 @@ class ContactRefiner:
         # of the mean error of a square, by which noise factors are determined
         of_square = estimator.information * model.mesh.facet_areas.sum() / SQUARES
         self._mean_sigma_m = float(of_square) ** -0.5
-        self._last: _Part | None = None
+        self._last: dict[bool, _Part] = {}  # by whether refined twice
 
     def refine(self, depth_m: np.ndarray, estimate: Estimate) -> FineContact | None:
         """Contact of a frame on a finer mesh; None where that would not improve it.
@@ -120,14 +120,14 @@ class ContactRefiner:
         noise = noise_at(resolution, nominal)
         small = np.count_nonzero(touching) <= _MOST_TWICE
         limit_m = 0.5 * _FRAME_LIMIT * self._model.mesh.edge_length  # of the mesh refined once
-        try:
-            if small and nominal <= limit_m:
-                fine = self._solve(self._part(touching, True), depth_m, estimate, noise)
-                if fine and fine.resolution_m <= limit_m:
-                    return fine
-            return self._solve(self._part(touching, False), depth_m, estimate, noise)
-        except (RuntimeError, np.linalg.LinAlgError, InputError):
-            return None  # a singular tangent, or Hessian; or no pixel sees the part
+        for twice in (True, False) if small and nominal <= limit_m else (False,):
+            try:
+                fine = self._solve(self._part(touching, twice), depth_m, estimate, noise)
+            except (RuntimeError, np.linalg.LinAlgError, InputError):
+                continue  # a singular tangent, or Hessian; or no pixel sees the part
+            if fine and not (twice and fine.resolution_m > limit_m):
+                return fine
+        return None
 
     def _gas_pressure(self, estimate: Estimate) -> float:
         """Gauge pressure of the gas, Pa, which every contact carries somewhere."""
@@ -135,10 +135,9 @@ class ContactRefiner:
 
     def _part(self, touching: np.ndarray, twice: bool) -> _Part:
         """Submodel around nodes (n,) bool in contact; the last one is reused if it is the same."""
-        last = self._last
-        if not (last and last.twice is twice and np.array_equal(touching, last.touching)):
-            self._last = last = self._built(touching, twice)
-        return last
+        if twice not in self._last or not np.array_equal(touching, self._last[twice].touching):
+            self._last[twice] = self._built(touching, twice)
+        return self._last[twice]
 
     def _built(self, touching: np.ndarray, twice: bool) -> _Part:
         estimator, whole = self._estimator, self._model.mesh

@@ -229,7 +229,7 @@ class Estimator:
         if not contacts_seen_by_flow(pressure, self.mesh.rings, seen).any():
             return alone, start
         both, by_flow = self._solve_frame(newton, data, _nearest(before, start))
-        if not both.trusted or _squares_apart(alone, both) > IMPLAUSIBLE_MISFIT**2:
+        if both.status != "ok" or _squares_apart(alone, both) > IMPLAUSIBLE_MISFIT**2:
             return replace(alone, flow_contradicts=True), start
         return self._with_disagreement(alone, both), replace(start, by_flow=by_flow)
 

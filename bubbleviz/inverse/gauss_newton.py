@@ -78,7 +78,7 @@ class State:
     friction : (n, 3) array
         Force of friction on the nodes, N.
     clamp : (n, 3) array
-        Force on the nodes of the rim by which its slack is another than expected, N.
+        Force on the nodes of the rim by which its slack differs from the expected one, N.
     image_errors : (4,) array
         Amplitudes of `IMAGE_ERRORS`, m, m, m and 1.
     balanced : bool
@@ -433,8 +433,8 @@ class GaussNewton:
             by_depth = np.arange(found[0][0].shape[2])
             moving += found
             if observed.flow is not None:
-                # The slack is known to about itself, and only flow shows the motion along the
-                # membrane by which it differs; over the σ of friction, which all these have.
+                # The slack's σ is the slack itself, and only flow shows the motion along the
+                # membrane that tells it. Divided by the σ of friction, the prior of all these.
                 pull = (self.bubble.rim_pull(state.x) - state.clamp)[:, :, None] / self.friction
                 moving.append((tangent.motion(pull), pull))
         first = int(gas is not None)

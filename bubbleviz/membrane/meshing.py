@@ -259,8 +259,8 @@ class Refined(NamedTuple):
     """A finer mesh and where its nodes are on the coarser one."""
 
     mesh: MembraneMesh  # the coarser one's nodes come first
-    # (k, 2) int, nodes of the coarser mesh that each node lies midway between; twice the same for
-    # its own. (k, 4) if refined twice
+    # (k, 2), or (k, 4) if refined twice: int, nodes of the coarser mesh whose mean each node is,
+    # all the same for its own
     ends: np.ndarray
     parent: np.ndarray  # (m,) int, triangle of the coarser mesh that each triangle is part of
 

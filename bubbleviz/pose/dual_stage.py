@@ -134,20 +134,30 @@ class Solver:
         ]
         coarse.sort(key=lambda fit: fit.cost)
         found = [
-            self.solve(
-                frame,
-                contact,
-                Motion.at_rest(fit.T_B_O, SEARCH_DEVIATION, contact.center),
-                tracking=False,
+            (
+                fit.cost,
+                self.solve(
+                    frame,
+                    contact,
+                    Motion.at_rest(fit.T_B_O, SEARCH_DEVIATION, contact.center),
+                    tracking=False,
+                ),
             )
             for fit in coarse[:finalists]
         ]
-        good = [solution for solution in found if solution.fit.fitness >= _FOUND_FITNESS]
-        best = min(good, key=lambda solution: solution.fit.cost, default=None)
-        if best is None:
+        good = [pair for pair in found if pair[1].fit.fitness >= _FOUND_FITNESS]
+        if not good:
             return None
-        likely = [fit.T_B_O for fit in coarse if fit.cost < coarse[0].cost + _AS_LIKELY]
-        others = looking_different(self._registration.model, best.pose.T_B_O, likely)
+        before, best = min(good, key=lambda pair: pair[1].fit.cost)
+        likely = [one.fit for _, one in good if one.fit.cost < best.fit.cost + _AS_LIKELY]
+        likely += [
+            fit
+            for fit in coarse[finalists:]
+            if fit.fitness >= _FOUND_FITNESS and fit.cost < before + _AS_LIKELY
+        ]
+        others = looking_different(
+            self._registration.model, best.pose.T_B_O, [fit.T_B_O for fit in likely]
+        )
         return best._replace(pose=replace(best.pose, others=others))
 
     def _image_fit(
@@ -220,7 +230,8 @@ def _looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
     Points of the turned surface are registered to it, by rotation alone.
     """
     points, R = model.sample(_SAMPLES)[0], Rotation.from_matrix(turn)
-    middle = 0.5 * (model.obj.vertices.min(axis=0) + model.obj.vertices.max(axis=0))
+    middle = model.facet_areas @ model.obj.vertices[model.triangles].mean(axis=1)
+    middle /= model.facet_areas.sum()  # which every symmetry keeps
     arms = points - middle
     for _ in range(_ALIGNING):
         turned = R.apply(arms)
@@ -229,8 +240,10 @@ def _looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
         along = np.einsum("ij,ij->i", way, found.normal)
         step = np.linalg.lstsq(np.cross(turned, found.normal), along, rcond=None)[0]
         R = Rotation.from_rotvec(step) * R
+    turned = R.apply(arms) + middle
+    apart = np.linalg.norm(turned - model.closest(turned).place, axis=1).max()
     away = (R * Rotation.from_matrix(turn).inv()).magnitude()
-    return bool(np.abs(way).max() < _ALIKE * model.size_m and away < np.pi / TURNS)
+    return bool(apart < _ALIKE * model.size_m and away < np.pi / TURNS)
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:

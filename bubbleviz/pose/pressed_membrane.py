@@ -283,8 +283,7 @@ class Press:
     seen: np.ndarray  # (6, 6), takes such a motion to the same without spins in itself
     rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
     push_n: np.ndarray  # (k, 3), force of the object on each node
-    # (m,) bool, triangles whose three corners are all closest to some point of the object's faces
-    # that touches, and on which there is no edge
+    # (m,) bool, triangles that faces of the object touch near all three corners, and no edge
     on_face: np.ndarray
     tangent: Tangent
     friction_n: np.ndarray  # (k, 3), of the estimate, on each node

@@ -83,7 +83,7 @@ def spatial_correlation(
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns.
 
-    About the mean of the frame: an image that drifts as a whole does not correlate its pixels.
+    About the mean of each frame: drift of the whole image is no correlation of its pixels.
     """
     reach = min(_REACH_PX, min(sigma.shape) // 2)
     rows, columns = (slice(None, None, max(1, size // _LINES)) for size in sigma.shape)

@@ -93,9 +93,9 @@ _FINEST = 2
 """Finest level of the search's pyramid: force has the same error with 1, and with rounds of
 variational refinement."""
 _SMOOTHED_PX, _WINDOW_PX, _ROUNDS = 2 * BLOCK_PX + 1, 15, 2
-"""Sides of the squares over which a search is averaged twice, and whose motion is measured, odd;
-and searches, each for what the one before has left: of 9 to 25, 9 to 21, and 1 and 2 those with the
-smallest errors on known motions whose error is the σ that is told."""
+"""Odd sides of the square over which a search is averaged (twice) and of the window whose motion is
+measured; and number of searches, each for what is left by the one before. Of 9 to 25, 9 to 21, and
+1 and 2: the smallest errors on known motions among those whose σ is right."""
 _SATURATED = 250  # grey level of a pixel that may be saturated
 _LARGEST_SIGMA_PX = 0.1  # of motion at rest; chosen: less certain flow adds nothing to depth
 _MEAN_TO_SIGMA = np.sqrt(0.5 * np.pi)  # of normal errors, from the mean of their sizes
@@ -271,7 +271,7 @@ def _block_centres(image: np.ndarray) -> np.ndarray:
 
 
 def _dilated(mask: np.ndarray) -> np.ndarray:
-    """Mask (H, W) dilated by the window of a block."""
+    """Mask (H, W) dilated by the measured window."""
     kernel = np.ones((_WINDOW_PX, _WINDOW_PX), np.uint8)
     return np.asarray(opencv().dilate(mask.astype(np.uint8), kernel)) > 0
 

@@ -79,7 +79,7 @@ def test_quick_study(tmp_path):
     sliding = [row for row in rows[5:] if float(row["drag_m"]) > 5e-4 or float(row["twist_rad"])]
     assert len(sliding) >= 6
     assert all(float(row["friction"]) == 1.0 for row in sliding)
-    assert [each["flow"] for each in slips["slips"]] == ["0.03 px", "fast", "balanced"]
+    assert [each["flow"] for each in slips["slips"]] == ["0.03 px", "rendered"]
     assert all(each["judged"] == 7 and each["points"] >= 4 for each in slips["slips"])
     dragged = rows[2]
     assert float(dragged["force_error"]) < float(dragged["depth_force_error"]) < 0.02

@@ -124,6 +124,10 @@ def test_poses_in_which_an_object_looks_different():
     found = looking_different(box, turned("z", 180), ways)
     np.testing.assert_allclose(found, [turned("x", 90), turned("z", 90)], atol=1e-12)
     assert not len(looking_different(ObjectSurface(study_object("sphere")), np.eye(4), ways))
+    prism = trimesh.creation.cylinder(0.012, 0.020, sections=3)
+    prism = ObjectSurface(RigidObject("prism", np.array(prism.vertices), np.array(prism.faces)))
+    assert not len(looking_different(prism, np.eye(4), [turned("z", 120), turned("z", -115)]))
+    assert len(looking_different(prism, np.eye(4), [turned("z", 60), turned("x", 90)])) == 2
 
 
 def test_a_search_tells_the_other_poses_that_fit_as_well(pipeline, sensor):

@@ -56,7 +56,7 @@ def test_flow_finds_the_motion_of_the_material(view, far_m):
 
     printed, at_rest = PrintedMembrane(view, seed=3), np.zeros_like(view.mesh.nodes)
     seen = np.isfinite(view.range_image(at_rest))
-    flow = OpticalFlow.of([printed.image(at_rest, k) for k in range(REST)], "fine", seen)
+    flow = OpticalFlow.of([printed.image(at_rest, k) for k in range(REST)], seen)
     moved_m = dragged(view, far_m)
     field = flow.measure(printed.image(moved_m, 99))
     truth = true_motion(view, moved_m, field.pixel)
