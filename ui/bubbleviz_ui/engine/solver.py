@@ -139,7 +139,7 @@ class EstimateCache:
             del self._sizes[oldest]
 
     def use(self, *, flow: bool) -> None:
-        """Drop all if forces use colour images from now on, and did not before, or the reverse."""
+        """Drop all if forces begin or cease to use colour images."""
         if flow != self._flow:
             self._flow = flow
             self._kept.clear()
