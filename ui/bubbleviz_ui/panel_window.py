@@ -145,7 +145,7 @@ class PanelWindow(QMainWindow):
         self.sensor = SensorPanel(state, controller)
         self.stage_times = StageTimes()
         self.calibration = CalibrationPanel(
-            Calibration(controller, self.undo_recorder), state.units, self.playback.range_strip
+            Calibration(controller, self.undo_recorder), state.units
         )
         self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose)

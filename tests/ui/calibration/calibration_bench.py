@@ -60,7 +60,8 @@ class Bench(Driver):
 
     def move_end(self, start, end):
         """Drag on the range strip from frame to frame."""
-        strip = self.panel.strip
+        self.step(0)
+        strip = self.panel.frames.strip
         frames = (start, (start + end) // 2, end)
         self.drag(strip, *(QPoint(round(strip.x_at(f)), strip.height() // 2) for f in frames))
         self.done()

@@ -8,7 +8,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from PySide6.QtCore import QEvent, Signal
-from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
@@ -31,7 +30,6 @@ from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
 from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.model.messages import CALIBRATION, UserMessage
 from bubbleviz_ui.model.units import Units
-from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
@@ -47,9 +45,9 @@ class CalibrationPanel(QWidget):
 
     painted = Signal(object, object)  # points (k, 3) and values (k,), both in m, for the 3-D view
 
-    def __init__(self, calibration: Calibration, units: Units, strip: RangeStrip) -> None:
+    def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__()
-        self.calibration, self.units, self.strip = calibration, units, strip
+        self.calibration, self.units = calibration, units
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
@@ -157,14 +155,6 @@ class CalibrationPanel(QWidget):
         for folder in self._folders:
             folder.cleanup()
 
-    def showEvent(self, event: QShowEvent) -> None:
-        super().showEvent(event)
-        self._show_strip()
-
-    def hideEvent(self, event: QHideEvent) -> None:
-        super().hideEvent(event)
-        self._show_strip()
-
     def changeEvent(self, event: QEvent) -> None:
         super().changeEvent(event)
         if event.type() == QEvent.Type.PaletteChange and self.layout() is not None:
@@ -193,9 +183,9 @@ class CalibrationPanel(QWidget):
         calibration = self.calibration
         self.steps.idClicked.connect(self.go_to)
         calibration.changed.connect(self._show)
+        calibration.restarted.connect(self._begin_anew)
         calibration.progressed.connect(self.progress.show_step)
         calibration.controller.state.messages.added.connect(self._on_message)
-        self.strip.edited.connect(self.frames.set_ranges)
         self.surface.painted.connect(self.painted)
         self.validation.painted.connect(self.painted)
         self.report.use.connect(self.use_sensor)
@@ -213,6 +203,9 @@ class CalibrationPanel(QWidget):
         if not isinstance(self.page, FramesPage) or self.calibration.settings.last_step:
             self.go_to(self.stack.currentIndex() + 1)
         self.page.enter()
+
+    def _begin_anew(self) -> None:
+        self.go_to(0)
 
     def _on_about_to_open(self, request: OpenRequest) -> None:
         """Ask before opening a source that would discard an unsaved identification."""
@@ -280,15 +273,6 @@ class CalibrationPanel(QWidget):
             line = headline(found, self.units.gas_pressure.text)
             self.verdict.setText(f"{OUTDATED} {line}" if outdated else line)
             self.verdict.setStyleSheet(f"color: {colour}")
-        self.strip.set_ranges(answer.axis, answer.found.ranges)
-        self._show_strip()
-
-    def _show_strip(self) -> None:
-        """Show the ranges of a recording below the timeline while the panel is open."""
-        calibration = self.calibration
-        recorded = calibration.is_open and not calibration.live
-        recorded = recorded and calibration.work.collected is None
-        self.strip.setVisible(self.isVisible() and recorded and bool(self.strip.ranges))
 
     def _state(self, number: int) -> StepState:
         """State of a step; failed and doubtful ones need attention."""

@@ -128,11 +128,6 @@ class Calibration(QObject):
         """Whether there is an identification that was not saved."""
         return self.answer.found.complete and self.saved != self.answer.work
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the window shows the source being calibrated."""
-        return self._shown_source is self._source
-
     def would_lose_work(self, request: OpenRequest) -> bool:
         """Whether opening another source would discard an unsaved identification."""
         if not self.unsaved or request.source is self._shown_source:

@@ -200,7 +200,7 @@ class FramesPage(Page):
         self.set_ranges(as_ranges({*present} - {*self._chosen}), removed)
 
     def _lay_out(self) -> None:
-        fill(self.column, self.plot, self.strip, self.message)
+        fill(self.column, self.strip, self.plot, self.message)
         numbers = (QLabel("frames"), self.first, QLabel("to"), self.last, 1)
         buttons = (self.add, self.remove, self.replace, self.find_again, 1)
         rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]

@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SPEEDS, Settings
 from bubbleviz_ui.model.throttle import Throttle
-from bubbleviz_ui.playback.range_strip import RangeStrip
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell.binding import bind, control
 from bubbleviz_ui.shell.dock import Steady, fill, tool_button
@@ -46,7 +45,7 @@ def next_speed(speed: float, direction: int) -> float:
 
 
 class PlaybackPanel(QWidget):
-    """Timeline and contact-free ranges, playback controls, and a readout of frame and time."""
+    """Timeline, playback controls, and a readout of frame and time."""
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
@@ -61,8 +60,6 @@ class PlaybackPanel(QWidget):
         self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
         self.timeline = Timeline(state)
         self._repaint = Throttle(self, lambda: self.timeline.update(), TIMELINE_EVERY_MS)
-        self.range_strip = RangeStrip()
-        self.range_strip.hide()
         self.readout = Steady()
         self.speed, self.mode = control(state, "speed"), control(state, "every_frame")
         self.loop, self.mark, self.freeze = (
@@ -102,7 +99,6 @@ class PlaybackPanel(QWidget):
         fill(
             QVBoxLayout(self),
             self.timeline,
-            self.range_strip,
             row,
             1,
             margins=(MARGIN, 4, MARGIN, 6),
