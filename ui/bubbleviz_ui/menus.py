@@ -424,8 +424,9 @@ class Menus(QObject):
         endpoint, chosen = QInputDialog.getText(
             self._window,
             "Publish results",
-            "Publish at tcp/HOST:PORT, from the next start of publishing. HOST 127.0.0.1: only "
-            "this computer receives results; its network address: others, too",
+            "Publish at tcp/HOST:PORT, from the next start of publishing.\n"
+            "HOST 127.0.0.1: only this computer receives results;\n"
+            "its network address: others, too",
             text=state.settings.publish_at,
         )
         if chosen:

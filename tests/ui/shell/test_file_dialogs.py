@@ -48,6 +48,8 @@ def test_dialogs_ask_before_replacing_add_suffixes_remember_folders_and_leave_sp
     for _ in range(2):
         for title in answers:
             driver.trigger(f"File › {title}")
+    records = str((tmp_path / answers["Open recording"]).parent)
+    assert asked[1] == ("Open sensor", records)  # else to that of the last file
     assert asked[2:] == [(title, str((tmp_path / name).parent)) for title, name in answers.items()]
     driver.wait_for_message()  # neither is there
     (tmp_path / "records").rmdir()

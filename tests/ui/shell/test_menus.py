@@ -2,11 +2,12 @@
 
 from fakes import DentSource
 from live_bench import messages_by_type, sensor_file
-from PySide6.QtCore import QSize, Qt
-from PySide6.QtGui import QScreen
-from PySide6.QtWidgets import QDialog
+from PySide6.QtCore import QSize, Qt, QTimer
+from PySide6.QtGui import QScreen, QTextDocument
+from PySide6.QtWidgets import QApplication, QDialog, QInputDialog, QTextBrowser
 from window_driver import CTRL, view_texts
 
+from bubbleviz.files import pages_folder
 from bubbleviz_ui.live.connection import single
 
 
@@ -87,6 +88,7 @@ def test_closing_a_live_source_completes_its_recording(open_bench):
     assert not live.state.playing
 
 
+PICTURE = (pages_folder() / "press.webp").as_uri()
 DIALOGS = (
     *("File › Information", "File › Import", "File › Export", "Edit › Settings"),
     *("Playback › Contacts", "Live › Connect", "Help › Documentation"),
@@ -103,4 +105,21 @@ def test_dialogs_fit_a_screen_of_1024_by_700_pixels_at_150_percent(drive, monkey
         driver.wait(lambda: any(each.isVisible() for each in driver.window.findChildren(QDialog)))
         (dialog,) = (each for each in driver.window.findChildren(QDialog) if each.isVisible())
         assert screen.expandedTo(dialog.frameSize()) == screen, (name, dialog.frameSize())
+        for page in dialog.findChildren(QTextBrowser):
+            picture = page.loadResource(QTextDocument.ResourceType.ImageResource.value, PICTURE)
+            assert picture.deviceIndependentSize().width() <= page.viewport().width()
         dialog.close()
+    sizes, timer = [], QTimer(interval=20)
+
+    def measure():
+        dialog = QApplication.activeModalWidget()
+        if isinstance(dialog, QInputDialog):
+            sizes.append(dialog.frameSize())
+            dialog.reject()
+
+    timer.timeout.connect(measure)
+    timer.start()
+    for name in ("Playback › Go to frame", "Live › Publish at"):  # return when answered
+        driver.trigger(name)
+    timer.stop()
+    assert len(sizes) == 2 and all(screen.expandedTo(size) == screen for size in sizes)

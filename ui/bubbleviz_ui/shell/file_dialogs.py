@@ -1,4 +1,4 @@
-"""File dialogs, which start in the folder of the last file of the same kind.
+"""File dialogs, which start in the folder of the last file of the same kind, else of any kind.
 
 When saving, the suffix is added before the question whether a file may be replaced.
 """
@@ -19,6 +19,7 @@ from bubbleviz_ui.model.messages import Messages
 
 Answer = Literal["save", "discard", "cancel"]
 SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
+ANY = "any"  # kind of file
 
 
 def name_of_output(title: str, what: str) -> str:
@@ -121,14 +122,16 @@ def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
 
 
 def _folder(of: str, by_default: Path | None = None) -> str:
-    """Folder of the last file of a kind; empty if there is none any more."""
-    folder = str(_folders().value(of, by_default or ""))
+    """Folder of the last file of a kind, else of any kind; empty if there is none any more."""
+    known = _folders()
+    folder = str(known.value(of, known.value(ANY, by_default or "")))
     return folder if folder and Path(folder).is_dir() else ""
 
 
 def remember(of: str, path: Path) -> None:
-    """Store the folder of a file for the next dialog of its kind."""
-    _folders().setValue(of, str(path.absolute().parent))
+    """Store the folder of a file for the next dialog of its kind, or of one not used yet."""
+    for kind in (of, ANY):
+        _folders().setValue(kind, str(path.absolute().parent))
 
 
 def remember_sensor(path: Path, size: tuple[int, int]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from PySide6.QtCore import Qt, QUrl
-from PySide6.QtGui import QFontDatabase, QTextCursor
+from PySide6.QtGui import QFontDatabase, QPixmap, QTextCursor, QTextDocument
 from PySide6.QtWidgets import (
     QApplication,
     QDialog,
@@ -13,6 +13,7 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QPlainTextEdit,
+    QStyle,
     QTextBrowser,
     QVBoxLayout,
     QWidget,
@@ -99,6 +100,25 @@ class InformationDialog(TextDialog):
         self.text.setPlainText(f"{self._sensor}\n{text}")
 
 
+class _Page(QTextBrowser):
+    """A page whose pictures are not wider than it."""
+
+    def loadResource(self, type: int, name: QUrl | str) -> object:
+        """Contents of a file; a picture as one that fits."""
+        found = super().loadResource(type, name)
+        if type != QTextDocument.ResourceType.ImageResource.value:
+            return found
+        picture, scale = QPixmap(), self.devicePixelRatio()
+        picture.loadFromData(found)
+        bar = self.style().pixelMetric(QStyle.PixelMetric.PM_ScrollBarExtent)
+        room = self.width() - bar - 4 * self.document().documentMargin()
+        if picture.width() > room:
+            smooth = Qt.TransformationMode.SmoothTransformation
+            picture = picture.scaledToWidth(round(room * scale), smooth)
+            picture.setDevicePixelRatio(scale)
+        return picture
+
+
 class PagesDialog(QDialog):
     """The documentation installed with the program."""
 
@@ -108,7 +128,7 @@ class PagesDialog(QDialog):
         self.setWindowTitle("Documentation")
         self._files = sorted(folder.rglob("*.md"))
         resize_on_screen(self, *PAGES_SIZE)
-        self.page = QTextBrowser()
+        self.page = _Page()
         self.page.setOpenExternalLinks(True)
         self.page.setSearchPaths([str(folder)])
         self.home = push_button("&Contents", "First page", self.page.home)
@@ -124,7 +144,7 @@ class PagesDialog(QDialog):
         for button in (self.home, self.back):
             button.setAutoDefault(False)  # Enter searches
         row = fill(QHBoxLayout(), self.home, self.back, (self.search, 1), self.missed)
-        fill(QVBoxLayout(self), row, (self.page, 1))
+        fill(QVBoxLayout(self), row, (self.page, 1)).activate()  # the page's width is known
         self.page.setSource(QUrl.fromLocalFile(str(folder / HOME)))
         self.search.setFocus()
 
