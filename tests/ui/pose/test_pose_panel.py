@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QApplication
 from scipy.spatial.transform import Rotation
@@ -213,6 +214,38 @@ def lose(monkeypatch, lost):
         return replace(frame, depth_m=blank) if index == lost else frame
 
     monkeypatch.setattr(SyntheticSource, "__getitem__", blinded)
+
+
+def test_other_poses_that_fit_as_well_are_told_and_fitted_in_turn(drive, source, tmp_path):
+    mesh, T = tmp_path / "box.stl", np.eye(4)
+    trimesh.creation.box((0.024, 0.018, 0.030)).export(
+        mesh
+    )  # its faces look alike in a light touch
+    T[2, 3] = 0.062
+    press = SyntheticSource(
+        source.sensor, load_object(str(mesh)), T[None], DepthNoise(), nodes=3_000
+    )
+    bench = Bench(drive(lambda _: press, sensor=source.sensor))
+    panel = bench.panel
+    panel.use_file(mesh)
+    bench.wait(panel.once.isEnabled)
+    assert not panel.other.isVisible()
+    bench.fit()
+    count = int(panel.other.text().split()[0])
+    assert panel.other.isVisible() and count >= 2
+    faces = []
+    for _ in range(count + 1):
+        bench.click(panel.other)
+        bench.wait(lambda: bench.text("state") != "fitting…")
+        bench.wait_until_shown()
+        assert bench.text("state").startswith("found")
+        faces.append(panel.session.pose.T_B_O[:3, :3])
+    turned = [Rotation.from_matrix(a.T @ faces[-1]).magnitude() for a in faces[:-1]]
+    assert min(turned) > np.radians(45)  # each is another one, the first one comes again
+    assert panel.other.text().startswith(f"{count} ")
+    bench.choose_object("frustum")
+    assert not panel.other.isVisible()
+    bench.release()
 
 
 def test_tracking_export_undo_of_reset_and_curves(bench, source, tmp_path, monkeypatch):

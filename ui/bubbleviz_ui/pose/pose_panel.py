@@ -228,6 +228,12 @@ class PosePanel(QWidget):
             "Register the object in this frame, both stages (section VI of the paper)",
             session.fit_once,
         )
+        self.other = push_button(
+            "",
+            "Other poses fit the frame in which the object was searched as well: fit from the next "
+            "one if the object is turned",
+            session.fit_other,
+        )
         self.track = push_button("Track", Settings.info("pose_track").tip, session.track)
         self.reset = push_button(
             "Reset", "Discard all poses and stop tracking (Ctrl+Shift+F)", session.reset
@@ -298,11 +304,12 @@ class PosePanel(QWidget):
             (self.once, self.track, self.reset),
         ):
             column.addLayout(fill(QHBoxLayout(), *row))
-        form = QFormLayout()
+        self.form = form = QFormLayout()
         form.setHorizontalSpacing(12)
         for name, title in NUMBERS.items():
             form.addRow(title, self.values[name])
         form.insertRow(3, "T_B_O", self.copy)
+        form.insertRow(1, "Other poses", self.other)
         form.addRow(self.stage.accessibleName(), self.stage)
         form.addRow("Outline", self.patch)
         column.addLayout(form)
@@ -408,6 +415,9 @@ class PosePanel(QWidget):
             self.move_in_view,
         ):
             widget.setEnabled(idle and has)
+        self.other.setEnabled(idle)
+        self.other.setText(f"{len(session.others)} fit as well: fit the next")
+        self.form.setRowVisible(self.other, bool(session.others))
         known = has_pose(session.pose)
         self.from_here.setEnabled(idle and has and known)
         self.copy.setEnabled(known)

@@ -158,6 +158,7 @@ class PoseSession(QObject):
         self.busy = False  # A single fit is running
         self.problem = ""  # Why the chosen object was rejected
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
+        self.others: list[np.ndarray] = []  # (4, 4) each, that fit as well as the one searched
         controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
         self._state.source_changed.connect(self._on_source)
@@ -192,6 +193,15 @@ class PoseSession(QObject):
         self._state.set_playing(False)
         self.busy = True
         self._set_object(fit=True)
+
+    def fit_other(self) -> None:
+        """Fit from the next of the poses that fit as well; the present one becomes the last."""
+        other, *rest = self.others
+        if has_pose(self.pose):
+            rest.append(self.pose.T_B_O)
+        self.set_start(other)
+        self.others = rest
+        self.fit_once()
 
     def track(self, on: bool) -> None:
         """Start or stop tracking the object from frame to frame."""
@@ -234,7 +244,7 @@ class PoseSession(QObject):
         return write_poses(path, [self.rows[k] for k in sorted(self.rows)], form)
 
     def _forget(self) -> None:
-        self.pose, self.rows = None, {}
+        self.pose, self.rows, self.others = None, {}, []
         self.changed.emit()
 
     def _register_object(self) -> None:
@@ -255,14 +265,16 @@ class PoseSession(QObject):
         *,
         fit: bool = False,
     ) -> None:
+        if start is None:  # is searched
+            self.others = []
         take = partial(self._take_object, (name, unit), fit)
         self._controller.set_object(
             name, unit, start, take, partial(self._reject, name, fit), fit=fit
         )
 
     def _on_opened(self, opened: Opened) -> None:
-        self.pose, self.rows, self.busy = None, {}, False
-        self.changed.emit()
+        self.busy = False
+        self._forget()
 
     def _on_source(self) -> None:
         if self.object_name is not None:
@@ -309,5 +321,6 @@ class PoseSession(QObject):
         if result.pose is None or result.pose is self.pose:
             return
         self.pose = result.pose
+        self.others = [*result.pose.others] or self.others
         self.rows[result.frame.index] = pose_row(result)
         self.changed.emit()
