@@ -6,7 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from bubbleviz.calibration.ellipsoid import fit_sphere
-from bubbleviz.calibration.rest_frames import FrameSamples, away_from_edges
+from bubbleviz.calibration.rest_frames import FrameSamples, away_from_edges, traced_pixels
 from bubbleviz.camera import MAD, DepthCamera, median
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
@@ -117,7 +117,6 @@ def _closed(region: np.ndarray) -> np.ndarray:
 # Motion of the dome relative to the camera while frames are collected.
 
 
-_MAX_FITTED_PIXELS = 5_000  # in each frame: noise of 0.1 mm then moves a sphere by some 4 µm
 _NOISE_LIMIT = 4.0  # standard deviations that noise does not exceed in some hundred frames
 _MAX_MOTION = 5e-3  # of the dome's radius, which is the relative error that it causes in γ0
 
@@ -131,9 +130,7 @@ def check_motion(samples: FrameSamples) -> float:
     Raises InputError: the dome moves by more than 0.5 % of its radius.
     """
     statistics, camera = samples.statistics, samples.camera
-    known = np.flatnonzero(statistics.validity >= statistics.regular_validity)
-    stride = max(1, len(known) // _MAX_FITTED_PIXELS)
-    known = known[::stride]
+    known, stride = traced_pixels(statistics)
     ranges = statistics.range_m.ravel()[known]
     points = camera.points_at(statistics.range_m, known)
     sphere = fit_sphere(points)
@@ -145,8 +142,9 @@ def check_motion(samples: FrameSamples) -> float:
     to_range = camera.range_per_depth.ravel()[known]
     # J holds derivatives of the distance by the centre, so the step is minus the pseudo-inverse.
     solve = -np.linalg.pinv(J)
-    depth = samples.depth_m.reshape(len(samples.depth_m), -1)[:, known]
-    change = np.nan_to_num((depth * to_range - ranges) * facing).astype(np.float32)
+    change = np.nan_to_num((samples.traced_depth_m[:, near] * to_range - ranges) * facing).astype(
+        np.float32
+    )
     limit = np.float32(_NOISE_LIMIT / MAD) * median(np.abs(change))[:, None]
     moved = np.clip(change, -limit, limit) @ solve.T
     together = max(1.0, statistics.correlated_pixels / stride)

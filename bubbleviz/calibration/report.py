@@ -264,7 +264,7 @@ def before_after(found: Identification) -> tuple[np.ndarray, np.ndarray]:
 
     Images (H, W), m; NaN outside the pixels in use.
     """
-    model, depth = found.model, found.samples.depth_m[-1]
+    model, depth = found.model, found.samples.last_depth_m
     before = np.where(found.pixels.mask, model.camera.range_image(depth), np.nan)
     return before - found.modelled_range_m, model.range_image(depth) - found.modelled_range_m
 

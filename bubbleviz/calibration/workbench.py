@@ -73,7 +73,7 @@ class Settings:
     search: bool = True  # search contact-free frames even if `ranges` is given
 
 
-_CACHED = 2  # results of a step: the present one and the one before an undo, 90 MB each
+_CACHED = 2  # results of a step: the present one and the one before an undo
 _SHARES = {Step.FRAMES: 0.1, Step.PIXELS: 0.1, Step.SURFACE: 0.2, Step.TENSION: 0.6}
 """Approximate share of each step in the run time."""
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, collect_press, summary, with_rubber
+from bubbleviz.calibration import Quantity, collect, collect_press, summary, with_rubber
 from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import (
     EllipsoidalCap,
@@ -17,7 +17,7 @@ from bubbleviz.membrane import (
     mean_curvature,
     mesh_cap,
 )
-from bubbleviz.recordings import HeldFrames, measure_depth
+from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, still_frames
@@ -145,16 +145,12 @@ def test_report_names_the_pressed_object(with_press):
     assert numbers["rubber"]["levels"]["rises_pa"] == with_press.rises_pa
 
 
-def test_parts_of_the_recording_give_the_same_gauge_pressure(pressed, with_press):
+def test_parts_of_the_recording_give_the_same_gauge_pressure(truth, pressed, with_press):
     """By each half of the press's frames alone, within the interval of all."""
-    found, held = pressed
-    for part in np.array_split(np.arange(len(held.frames)), 2):
-        half = replace(
-            held,
-            depth_m=held.depth_m[part],
-            gas_pressure_pa=held.gas_pressure_pa[part],
-            statistics=measure_depth(held.depth_m[part], held.camera.range_per_depth),
-        )
+    (found, held), (_, membranes, gas, _) = pressed, truth
+    source = press(membranes, gas, held.camera, seed=0)
+    for part in np.array_split(held.frames, 2):
+        half = collect(source, found.given, part)
         shapes, _ = with_rubber(found, [], press=half).gauge_candidates
         assert (
             with_press.gauge_candidates[0].low < shapes.value < with_press.gauge_candidates[0].high
@@ -180,11 +176,7 @@ def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):
     glare = np.zeros(held.statistics.range_m.shape)
     glare[70:80, 95:115] = 3e-3
     ranges = held.statistics.range_m + glare
-    shiny = replace(
-        held,
-        depth_m=held.depth_m + glare.astype(np.float32),
-        statistics=replace(held.statistics, range_m=ranges),
-    )
+    shiny = replace(held, statistics=replace(held.statistics, range_m=ranges))
     shone = with_rubber(found, [], press=shiny)
     for name in ("gauge", "prestretch"):
         crossed, clean = getattr(shone, name), getattr(with_press, name)

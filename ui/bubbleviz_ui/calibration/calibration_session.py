@@ -85,7 +85,7 @@ def answer(bench: Workbench, work: Work, in_use: Sensor, progress: Progress) -> 
 
 
 CACHED_ANSWERS = 2
-"""Results that undo can restore without computing; each may hold 150 depth images of its own."""
+"""Results that undo can restore without computing."""
 
 
 class Calibration(QObject):
@@ -245,7 +245,7 @@ class Calibration(QObject):
             self._continue(opened)
             return
         self._worker.cancel()
-        # its samples are a hundred MB; no longer busy when they are released
+        # its frames are a hundred MB; no longer busy when they are released
         self._worker.submit(self._bench.close, lambda _: self.changed.emit())
         self._cache.clear()
         self._source, self.initial_sensor = opened.request.source, opened.sensor
