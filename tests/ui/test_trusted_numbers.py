@@ -149,7 +149,7 @@ def test_during_playback_every_number_drawn_is_of_one_frame(drive):
         drawn.append((frames, forces))
 
     window.view.rendering.connect(look)
-    driver.click(window.playback.play)
+    driver.click(window.playback.buttons["Play / pause"])
     driver.wait(lambda: len({force for _, (force, *_) in drawn}) > 8)
     window.view.rendering.disconnect(look)
     state.set_playing(False)

@@ -145,9 +145,9 @@ def test_playback_keys_and_button_and_about_dialog(drive):
     window, state, played = driver.window, driver.state, list[int]()
     state.change(loop=False, speed=0.5)
     state.frame_changed.connect(lambda index, _: played.append(index))
-    driver.click(window.playback.play)
+    driver.click(window.playback.buttons["Play / pause"])
     driver.wait(lambda: len(played) > 8)
-    driver.click(window.playback.play)
+    driver.click(window.playback.buttons["Play / pause"])
     assert not state.playing and played == sorted(set(played))  # never backwards
     driver.wait_until_shown()
     shown = driver.result.frame.index

@@ -27,9 +27,9 @@ def shown(driver):
 
 
 def play_past(driver, frame):
-    driver.click(driver.window.playback.play)
+    driver.click(driver.window.playback.buttons["Play / pause"])
     driver.wait(lambda: driver.state.frame >= frame)
-    driver.click(driver.window.playback.play)
+    driver.click(driver.window.playback.buttons["Play / pause"])
 
 
 def opened(driver, press, frame):
@@ -46,7 +46,7 @@ def test_result_is_the_same_however_a_frame_is_reached_and_of_the_present_settin
     assert shown(driver) == pytest.approx(alone, rel=0.01)
     driver.seek(CONTACT - 3)
     for _ in range(3):
-        driver.click(driver.window.playback.forward)
+        driver.click(driver.window.playback.buttons["Next frame"])
     assert driver.state.frame == CONTACT
     stepped = shown(driver)
     assert stepped == pytest.approx(alone, rel=0.01)

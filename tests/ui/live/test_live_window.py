@@ -38,7 +38,7 @@ def test_live_frames_are_shown_frozen_and_resumed(open_bench):
     frames = live.state.facts.frames
     live.wait_for_messages(10)
     assert live.shown_frame == back and live.state.facts.frames <= frames + 2
-    live.window.playback.go_live.click()
+    live.window.playback.buttons["Go live"].click()
     live.wait_for_frames(2)
     assert not live.state.frozen and live.shown_frame > back + 2 and not live.is_checked(frozen)
     live.show("calibration")
@@ -82,11 +82,11 @@ def test_badge_of_each_kind_of_source(open_bench):
     with robot(port):
         bench.connect(single(f"zenoh:tcp/127.0.0.1:{port}", name))
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text() and " (live) " in title())
-        bench.window.playback.freeze.click()
+        bench.window.playback.buttons["Freeze a live source"].click()
         assert ">&nbsp;frozen&nbsp;<" in word.text() and " (frozen) " in title()
         bench.wait(lambda: word.text().endswith("Hz"))
         assert "live" not in word.text()
-        bench.window.playback.go_live.click()
+        bench.window.playback.buttons["Go live"].click()
         bench.wait(lambda: ">&nbsp;live&nbsp;<" in word.text())
         changed = bench.state.connection_changed
         noted = changed.connect(lambda: changes.append((title(), word.text())))
@@ -161,11 +161,11 @@ def test_frozen_view_shows_one_frame_and_missed_or_dropped_frames_are_no_outage(
     open_bench, monkeypatch
 ):
     live = connected_bench(open_bench)
-    live.window.playback.freeze.click()
+    live.window.playback.buttons["Freeze a live source"].click()
     live.wait(lambda: live.state.frozen)
     last, before_s = live.state.facts.frames - 1, live.state.facts.times_s[-1]
     live.wait_for_messages(80)  # nearly a second
-    live.window.playback.go_live.click()
+    live.window.playback.buttons["Go live"].click()
     live.wait(lambda: live.state.facts.frames > last + 2)
     assert np.diff(live.state.facts.times_s)[last:].max() > STALE_AFTER_S
     assert live.state.facts.times_s[last] == before_s
@@ -174,9 +174,9 @@ def test_frozen_view_shows_one_frame_and_missed_or_dropped_frames_are_no_outage(
     live.show("threshold")
     for _ in range(2):
         live.wait_for_frames(1)
-        live.window.playback.freeze.click()
+        live.window.playback.buttons["Freeze a live source"].click()
         live.wait(lambda: live.state.frozen and one_frame_everywhere(live))
-        live.window.playback.go_live.click()
+        live.window.playback.buttons["Go live"].click()
     path = record_dents(live.folder / "dents.mcap")
     live.live_controller.connect_to(single(f"replay:{path}", sensor_file(live.folder)))
     live.wait(lambda: "dents.mcap" in live.state.facts.title)

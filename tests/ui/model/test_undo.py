@@ -258,7 +258,8 @@ def test_controls_follow_undo(drive):
         playback, layers, tools, kappa = window.playback, window.layers, window.tools, window.kappa
         return [
             kappa.solver.currentText(), kappa.automatic.isChecked(), kappa.box.value(),
-            playback.speed.currentText(), playback.mode.currentText(), playback.loop.isChecked(),
+            playback.speed.currentText(), playback.mode.currentText(),
+            playback.buttons["Loop"].isChecked(),
             layers.cloud_colour.currentText(), layers.cloud_points.currentText(),
             layers.opacity.value(), layers.pressure_max.value(), layers.residual_max.value(),
             [box.isChecked() for box in layers.boxes.values()], tools.colour_map.currentText(),

@@ -45,7 +45,9 @@ def test_contacts_are_parted_by_frames_without_contact_alone():
 
 def test_contacts_ranges_gaps_and_markers_by_clicks_and_drags(drive, sensor, monkeypatch):
     driver = drive(DentSource)
-    assert not driver.window.playback.freeze.isVisible()  # only for live sources
+    assert not driver.window.playback.buttons[
+        "Freeze a live source"
+    ].isVisible()  # only for live sources
     driver.key(Qt.Key.Key_F)
     assert not driver.state.frozen
     # seek contacts, the largest force and a frame number by keys
@@ -155,7 +157,7 @@ def test_contacts_ranges_gaps_and_markers_by_clicks_and_drags(drive, sensor, mon
     driver.seek(9)
     driver.key(Qt.Key.Key_M)
     driver.seek(3)
-    driver.click(driver.window.playback.mark)
+    driver.click(driver.window.playback.buttons["Mark this frame"])
     assert driver.state.markers == (3, 9)
     marked = np.argwhere(np.all(painted(timeline) == rgb(theme.DARK.marker), axis=2))[:, 1]
     assert abs(marked.min() - timeline.x_at(3)) < 6 and abs(marked.max() - timeline.x_at(9)) < 6
@@ -209,9 +211,9 @@ def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     ):
         driver.key(which, modifier)
         assert driver.state.frame == frame
-    driver.click(driver.window.playback.second_steps[-1.0])
+    driver.click(driver.window.playback.buttons["1 s back"])
     assert driver.state.frame == 0
-    driver.click(driver.window.playback.second_steps[0.1])
+    driver.click(driver.window.playback.buttons["0.1 s forward"])
     assert driver.state.frame == 3
     panel = driver.window.playback
     driver.key(Qt.Key.Key_Up, CTRL)
@@ -222,7 +224,7 @@ def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     driver.key(Qt.Key.Key_E)
     assert driver.state.settings.every_frame and panel.mode.currentText() == "every frame"
     driver.key(Qt.Key.Key_L)
-    assert not driver.state.settings.loop and not panel.loop.isChecked()
+    assert not driver.state.settings.loop and not panel.buttons["Loop"].isChecked()
 
 
 class HeldSource(DentSource):
@@ -271,7 +273,7 @@ def test_live_source_continues_while_the_view_is_frozen(drive):
     panel, title = driver.window.playback, driver.window.windowTitle
     driver.wait(lambda: driver.state.frame > 2)
     assert " (simulated) " in title()
-    driver.click(panel.freeze)
+    driver.click(panel.buttons["Freeze a live source"])
     assert driver.state.frozen and " (frozen) " in title()
     frame, now = driver.state.frame, driver.state.live_frame
     driver.wait(lambda: driver.state.live_frame >= now + 5)

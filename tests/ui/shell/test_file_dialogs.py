@@ -71,7 +71,7 @@ def test_dialogs_ask_before_replacing_add_suffixes_remember_folders_and_leave_sp
     # Qt's own dialog lives on its stack, where Python must not hold it
     monkeypatch.setattr(QFileDialog, "getOpenFileNames", asked)
     path = record(tmp_path / "again.mcap", DentSource(sensor))
-    loop, state = driver.window.playback.loop, driver.state
+    loop, state = driver.window.playback.buttons["Loop"], driver.state
     driver.activate()
     loop.setFocus()  # as by Tab; Space there is a click on it
     answer_file_dialog(driver, lambda: driver.trigger("File › Open recording"), str(path))

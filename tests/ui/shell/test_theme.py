@@ -52,7 +52,7 @@ def test_theme_menu_changes_all_parts_with_enough_contrast(drive):
         head = window.view.pixels()[:50, :160].reshape(-1, 3).astype(int)
         assert np.abs(head - rgb(colours.text)).sum(axis=1).min() < 12
         # The icon on the play button.
-        play = painted(window.playback.play).reshape(-1, 3).astype(int)
+        play = painted(window.playback.buttons["Play / pause"]).reshape(-1, 3).astype(int)
         assert np.abs(play - rgb(colours.text)).sum(axis=1).min() < 12
         assert len(driver.pressure_pixels()) > 200  # pressure has its colours on both
     choose(driver, "&system")
@@ -65,7 +65,7 @@ def test_theme_menu_changes_all_parts_with_enough_contrast(drive):
     changed.emit(Qt.ColorScheme.Dark)
     assert theme.of(driver.window) is theme.LIGHT  # what was chosen outlives the system's
     # checked buttons stand out, also in panels shown later
-    loop, playback = driver.window.playback.loop, driver.window.panels["playback"]
+    loop, playback = driver.window.playback.buttons["Loop"], driver.window.panels["playback"]
     for title in ("Light", "Dark"):
         playback.hide()
         choose(driver, title)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QResizeEvent
+from PySide6.QtGui import QAction, QKeySequence, QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QToolButton,
@@ -14,27 +14,35 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.settings import SPEEDS, Settings
+from bubbleviz_ui.model.settings import SPEEDS
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.playback.timeline import Timeline
-from bubbleviz_ui.shell.binding import bind, control
-from bubbleviz_ui.shell.dock import Steady, fill, tool_button
+from bubbleviz_ui.shell.binding import control
+from bubbleviz_ui.shell.dock import Steady, fill
+from bubbleviz_ui.shell.shortcuts import STEP
 
 PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
 """Period of timeline repaints for new numbers during playback, and for new frames at its end."""
-SECOND_STEPS = {
-    -1.0: ("−1", "Ctrl+←"),
-    -0.1: ("−0.1", "Shift+←"),
-    0.1: ("+0.1", "Shift+→"),
-    1.0: ("+1", "Ctrl+→"),
+MOVES = {
+    "First frame": "▮◀",
+    "1 s back": "−1 s",
+    "0.1 s back": "−0.1 s",
+    "Previous frame": "◂",
+    "Play / pause": PLAY,
+    "Next frame": "▸",
+    "0.1 s forward": "+0.1 s",
+    "1 s forward": "+1 s",
+    "Last frame": "▶▮",
 }
-"""Label and keys of each step in s."""
-SWITCHES = {
-    "Loop": Settings.info("loop").tip,
-    "Mark": "Mark or unmark this frame (M); PgUp, PgDn go to marked frames",
-    "Freeze": "Keep showing this frame while the live source continues (F)",
+"""Texts of the buttons at the left, by their actions in the menu."""
+MODES = {
+    "Mark this frame": "Mark",
+    "Loop": "Loop",
+    "Freeze a live source": "Freeze",
+    "Go live": "Live",
 }
+"""Those at the right."""
 MARGIN, SPACING = 10, 4
 """Margins of the button row, and distance between widgets, screen pixels."""
 
@@ -50,29 +58,13 @@ class PlaybackPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.first = tool_button("▮◀", "First frame (Home)", lambda: state.seek(0))
-        self.back = tool_button("◂", "Previous frame (←)", lambda: state.step(-1))
-        self.play = tool_button(
-            PAUSE, "Play or pause (Space)", lambda: state.set_playing(not state.playing)
-        )
-        self.forward = tool_button("▸", "Next frame (→)", lambda: state.step(1))
-        self.last = tool_button("▶▮", "Last frame (End)", state.seek_last)
-        self.second_steps = {seconds: self._step_button(seconds) for seconds in SECOND_STEPS}
+        self.buttons = {name: QToolButton() for name in (*MOVES, *MODES)}
         self.timeline = Timeline(state)
         self._repaint = Throttle(self, lambda: self.timeline.update(), TIMELINE_EVERY_MS)
         self.readout = Steady()
         self.speed, self.mode = control(state, "speed"), control(state, "every_frame")
-        self.loop, self.mark, self.freeze = (
-            tool_button(text, tip, checkable=True) for text, tip in SWITCHES.items()
-        )
-        self.mark.clicked.connect(lambda: state.toggle_marker(state.playhead))
-        self.freeze.clicked.connect(state.freeze)
-        self.go_live = tool_button(
-            "Live", "Go live: show the newest frame (N)", lambda: state.freeze(False)
-        )
         self._lay_out()
         self._show_all()
-        bind(self.loop, state, "loop")
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._on_history)
         for changed in (state.source_changed, state.settings_changed, state.playing_changed,
@@ -80,18 +72,19 @@ class PlaybackPanel(QWidget):
                         state.markers_changed):  # fmt: skip
             changed.connect(self._show_all)
 
-    def _step_button(self, seconds: float) -> QToolButton:
-        words, keys = SECOND_STEPS[seconds]
-        return tool_button(
-            f"{words} s",
-            f"{words} seconds ({keys})",
-            lambda: self._state.step_seconds(seconds),
-        )
+    def use_actions(self, actions: Mapping[str, QAction]) -> None:
+        """Have the buttons do, show and tell what the menu's actions do."""
+        for name, button in self.buttons.items():
+            action = actions[f"Playback{STEP}{name}"]
+            keys = action.shortcut().toString(QKeySequence.SequenceFormat.NativeText)
+            action.setIconText({**MOVES, **MODES}[name])
+            action.setToolTip(f"{name} ({keys})")
+            button.setDefaultAction(action)
+        self._show_all()
 
     def _lay_out(self) -> None:
-        back, on = list(self.second_steps.values())[:2], list(self.second_steps.values())[2:]
-        moves = (self.first, *back, self.back, self.play, self.forward, *on, self.last)
-        how = (self.mark, self.loop, self.freeze, self.go_live, self.mode, self.speed)
+        moves = [self.buttons[name] for name in MOVES]
+        how = (*(self.buttons[name] for name in MODES), self.mode, self.speed)
         row = fill(
             QHBoxLayout(), *moves, 1, self.readout, 1, *how, margins=(0, 4, 0, 0), spacing=SPACING
         )
@@ -116,14 +109,14 @@ class PlaybackPanel(QWidget):
     def _show_all(self) -> None:
         facts, live = self._state.facts, False
         self.setEnabled(facts is not None)
-        self.play.setText(PAUSE if self._state.playing else PLAY)
-        self.freeze.setChecked(self._state.frozen)
+        if (play := self.buttons["Play / pause"].defaultAction()) is not None:
+            play.setIconText(PAUSE if self._state.playing else PLAY)
         if facts is not None:
             live = facts.live
             widest = self._text(facts.frames - 1)
             self.readout.fix_width(self.fontMetrics().horizontalAdvance(widest) + 4)
-        self.freeze.setVisible(live and not self._state.frozen)
-        self.go_live.setVisible(live and self._state.frozen)
+        self.buttons["Freeze a live source"].setVisible(live and not self._state.frozen)
+        self.buttons["Go live"].setVisible(live and self._state.frozen)
         self._fit()
         self.show_frame()
 
@@ -134,7 +127,7 @@ class PlaybackPanel(QWidget):
 
     def _fit(self) -> None:
         """In a narrow window hide the steps, then the readout; keys and status bar remain."""
-        jumps = tuple(self.second_steps.values())
+        jumps = [button for name, button in self.buttons.items() if " s " in name]
         leaving = (*jumps, self.readout)
         others = [w for w in self._row_widgets if w not in leaving and not w.isHidden()]
         needed = _width(others) + 2 * MARGIN
@@ -148,7 +141,6 @@ class PlaybackPanel(QWidget):
         """Show the current frame; during playback the one drawn."""
         at_end = self._state.grows and self._state.advancing
         self._repaint.request() if at_end else self.timeline.update()
-        self.mark.setChecked(self._state.playhead in self._state.markers)
         self.readout.setText(self._text(self._state.playhead))
 
     def _text(self, frame: int) -> str:
