@@ -86,9 +86,7 @@ class Files(QObject):
 
     def choose_recordings(self) -> None:
         """Ask for a recording to open, or two."""
-        folder = self._window.live_controller.recording.folder
-        title = "Open recording"
-        paths = files_to_open(self._window, title, RECORDINGS, of="recording", by_default=folder)
+        paths = files_to_open(self._window, "Open recording", RECORDINGS, of="recording")
         if paths:
             self.open_recordings(paths)
 

@@ -34,26 +34,22 @@ def file_to_open(
     kinds: str = "",
     *,
     of: str,
-    by_default: Path | None = None,
     proposed: Path | None = None,
 ) -> Path | None:
     """Ask for a file to read; None: cancelled.
 
     `kinds`: File filters in Qt's syntax.
     `of`: Kind of file, whose last folder the dialog shows.
-    `by_default`: Folder shown if there is none yet.
     `proposed`: File selected at first.
     """
-    start = _folder(of, by_default) if proposed is None else str(proposed)
+    start = _folder(of) if proposed is None else str(proposed)
     name, _ = QFileDialog.getOpenFileName(parent, title, start, kinds)
     return _remembered(of, name)
 
 
-def files_to_open(
-    parent: QWidget, title: str, kinds: str, *, of: str, by_default: Path | None = None
-) -> list[Path]:
+def files_to_open(parent: QWidget, title: str, kinds: str, *, of: str) -> list[Path]:
     """Ask for one or more files to read; empty: cancelled. Arguments as of `file_to_open`."""
-    names, _ = QFileDialog.getOpenFileNames(parent, title, _folder(of, by_default), kinds)
+    names, _ = QFileDialog.getOpenFileNames(parent, title, _folder(of), kinds)
     return [path for name in names if (path := _remembered(of, name)) is not None]
 
 
@@ -121,10 +117,10 @@ def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
     return name, dialog.selectedNameFilter()
 
 
-def _folder(of: str, by_default: Path | None = None) -> str:
+def _folder(of: str) -> str:
     """Folder of the last file of a kind, else of any kind; empty if there is none any more."""
     known = _folders()
-    folder = str(known.value(of, known.value(ANY, by_default or "")))
+    folder = str(known.value(of, known.value(ANY, "")))
     return folder if folder and Path(folder).is_dir() else ""
 
 
