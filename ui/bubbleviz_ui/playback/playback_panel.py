@@ -89,14 +89,7 @@ class PlaybackPanel(QWidget):
             QHBoxLayout(), *moves, 1, self.readout, 1, *how, margins=(0, 4, 0, 0), spacing=SPACING
         )
         self._row_widgets: tuple[QWidget, ...] = (*moves, self.readout, *how)
-        fill(
-            QVBoxLayout(self),
-            self.timeline,
-            row,
-            1,
-            margins=(MARGIN, 4, MARGIN, 6),
-            spacing=0,
-        )
+        fill(QVBoxLayout(self), self.timeline, row, 1, margins=(MARGIN, 4, MARGIN, 6), spacing=0)
         self.readout.setAlignment(Qt.AlignmentFlag.AlignCenter)
 
     def _on_frame(self, _: int, by_playback: bool) -> None:

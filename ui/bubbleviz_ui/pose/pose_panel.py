@@ -229,10 +229,7 @@ class PosePanel(QWidget):
             session.fit_once,
         )
         self.other = push_button(
-            "",
-            "Other poses fit the frame in which the object was searched as well: fit from the next "
-            "one if the object is turned",
-            session.fit_other,
+            "", "Where the object was searched; if it is turned, fit from them", session.fit_other
         )
         self.track = push_button("Track", Settings.info("pose_track").tip, session.track)
         self.reset = push_button(
