@@ -154,7 +154,7 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     driver.wait_until_shown()
     truth, curve = truth_of(press, CONTACT), driver.inspection.kappa_curve
     assert curve.iou[30] == pytest.approx(iou(patch().pixel_mask, truth.patch_mask), abs=0.02)
-    assert "largest IoU" in driver.window.threshold.curve.text
+    assert "best IoU" in driver.window.threshold.curve.text
     # two settings are measured against it
     driver.choose(kappa=None)
     panel = compare(driver)

@@ -217,8 +217,8 @@ class KappaPlot(KappaAxisPlot):
         if curve is not None and curve.iou is not None:
             best = int(np.argmax(curve.iou))
             text += (
-                f' · <span style="color:{ORANGE}">largest IoU {curve.iou[best]:.2f}'
-                f" at κ {curve.kappa[best]:.1f}</span>"
+                f' · <span style="color:{ORANGE}">κ {curve.kappa[best]:.1f}: best IoU '
+                f"{curve.iou[best]:.2f}</span>"  # last: cut in a narrow panel, κ would be another
             )
         self.write(text)
 
