@@ -181,12 +181,10 @@ class PatchEdge:
         self, region: Region, p: np.ndarray, floor: float, blur: float
     ) -> np.ndarray:
         outside = self._outside(region, p - floor, blur)
-        inside_pressure = _pressure_inside(
-            region, p, outside, max(1.0, _INWARD * blur / self.edge_length_m)
-        )
-        distance = self._distance(
-            region, _contour(region, p, inside_pressure, outside, floor), blur
-        )
+        inward = max(1.0, _INWARD * blur / self.edge_length_m)
+        inside_pressure = _pressure_inside(region, p, outside, inward)
+        contour = _contour(region, p, inside_pressure, outside, floor, inward)
+        distance = self._distance(region, contour, blur)
         reach = 3.0 * blur
         before = np.clip(distance, -reach, reach)
         half_width = np.maximum(region.maximum(before, reach / self.edge_length_m), 0.0)
@@ -291,14 +289,20 @@ def _pressure_inside(
 
 
 def _contour(
-    region: Region, p: np.ndarray, inside_pressure: np.ndarray, outside: np.ndarray, floor: float
+    region: Region,
+    p: np.ndarray,
+    inside_pressure: np.ndarray,
+    outside: np.ndarray,
+    floor: float,
+    rings: float,
 ) -> np.ndarray:
     """Field that changes sign at half the pressure inside, on parts connected to the outside.
 
-    Lower pressure behind a ridge is not connected to the outside: it is inside the patch.
+    Lower pressure behind a ridge is not connected to the outside, or only through a gap in the
+    ridge: farther inside than `rings`, where a blurred step has its height, it is inside the patch.
     """
     level = np.maximum(floor, 0.5 * inside_pressure)
-    flank = ~outside & (p < level)
+    flank = ~outside & (p < level) & (region.maximum(outside.astype(float), rings) > 0.5)
     outer = region.any_in_part(flank, region.touches(outside))
     field = np.where(outside | outer, p - level, np.maximum(p - level, 0.5 * floor))
     field /= np.maximum(inside_pressure, 2.0 * floor)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
+from scipy.stats import norm
 
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.inverse import (
@@ -100,6 +101,16 @@ def test_the_edge_of_a_blurred_disc_is_found_with_and_without_a_ridge(ridge):
     plain = abs(np.sqrt(area_above(MESH, field, 0.5 * GAUGE) / np.pi) - 0.018)
     assert ours < resolution
     assert not ridge or ours < 0.7 * plain
+
+
+def test_the_face_between_two_line_loads_is_inside():
+    """A flat bar with a line load on its long edges only, more than twice the pressure between."""
+    blur, (x, y) = 0.0015, fine_mesh().nodes[:, :2].T
+    inside_m = 0.006 - np.abs(y)
+    face = 1.05 * norm.cdf(inside_m / blur) + 4.0 * np.exp(-0.5 * (inside_m / blur) ** 2)
+    field = GAUGE * face * norm.cdf((0.015 - np.abs(x)) / blur)
+    patch = PatchFinder(fine_mesh(), GAUGE, blur).find(made_up(np.where(field > 0.1, field, 0.0)))
+    assert (patch.level > 0.0)[(inside_m > blur) & (np.abs(x) < 0.015 - 4.0 * blur)].all()
 
 
 @pytest.mark.parametrize("changed", ["width", "blur"])
