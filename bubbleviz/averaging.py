@@ -69,8 +69,10 @@ class StillFrames:
         if len(around) < 2:  # a straight line through two images is the frame's own image there
             return frame
         times_s = np.array([frame.time_s, *(each.time_s for each in around)])
-        mean = _mean(frame.depth_m, [each.image.depth_m for each in around], _weights(times_s)[1:])
-        return replace(frame, mean_depth_m=mean, images=1 + len(around))
+        weights = _weights(times_s)
+        mean = _mean(frame.depth_m, [each.image.depth_m for each in around], weights[1:])
+        noise = float(np.linalg.norm(weights))
+        return replace(frame, mean_depth_m=mean, images=1 + len(around), mean_noise=noise)
 
     def _sides(self, frame: Frame) -> tuple[Iterable[int], ...]:
         """Indices of frames before and after one, the nearest first."""

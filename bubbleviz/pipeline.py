@@ -160,7 +160,7 @@ class Pipeline:
 
         with self._timed("total", times):
             for name in _STAGES:
-                if name in needed and self._is_available(name, options):
+                if name in needed and self._is_available(name, options, frame):
                     with self._timed(name, times):
                         result = _STAGES[name].run(self, result, options)
         return self.diagnose(replace(result, times_ms=times), products, options)
@@ -182,9 +182,10 @@ class Pipeline:
         kappa = None if options is None else options.kappa
         return replace(result, inspection=inspection(self, result, requested, kappa, truth))
 
-    def _is_available(self, name: Product, options: FrameOptions) -> bool:
+    def _is_available(self, name: Product, options: FrameOptions, frame: Frame) -> bool:
         if name == "fine_contact":
-            return options.fine_contact and self._refiner is not None
+            refines = options.fine_contact and self._refiner is not None
+            return refines and mesh_limits(self.estimator, frame.mean_noise)
         return name not in OBJECT_PRODUCTS or self.tracker is not None
 
     def paired(self, frame: Frame) -> Frame:
@@ -338,12 +339,9 @@ class Pipeline:
 
     @cached_property
     def _refiner(self) -> ContactRefiner | None:
-        """None where the solver or the options exclude it, or the mesh is fine enough."""
-        estimator = self.estimator
-        possible = self.options.fine_contact and estimator.solver_name in (RUBBER, LINEAR)
-        if not possible or not mesh_limits(estimator):
-            return None
-        return ContactRefiner(self.model, estimator)
+        """None where the solver or the options exclude it."""
+        possible = self.options.fine_contact and self.estimator.solver_name in (RUBBER, LINEAR)
+        return ContactRefiner(self.model, self.estimator) if possible else None
 
     def _estimate_stage(self, result: Result, options: FrameOptions) -> Result:
         frame, estimate = result.frame, result.estimate
@@ -364,10 +362,11 @@ class Pipeline:
         return self.flow_observer.measure(flow)
 
     def _fine_contact_stage(self, result: Result, options: FrameOptions) -> Result:
-        estimate = _required(result.estimate)
+        estimate, frame = _required(result.estimate), result.frame
         if estimate.fine is not None:
             return result
-        fine = _required(self._refiner).refine(result.frame.steady_depth_m, estimate)
+        refiner = _required(self._refiner)
+        fine = refiner.refine(frame.steady_depth_m, estimate, frame.mean_noise)
         return result if fine is None else replace(result, estimate=replace(estimate, fine=fine))
 
     def _patch_stage(self, result: Result, options: FrameOptions) -> Result:

@@ -31,8 +31,8 @@ from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
 _SENSOR_LIMIT, _FRAME_LIMIT = 0.42, 0.65
-"""Resolution at the noise of the camera, in mesh edges, below which the mesh limits a sensor's
-patches; and that of a frame, at its noise factor, up to which it is refined. Chosen on presses of
+"""Resolution at the noise of an image, in mesh edges, below which the mesh limits its patch; and
+that at the noise factor of its frame, up to which it is refined. Chosen on presses of
 14 objects: they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or nothing from 0.45 on,
 those into rubber up to 0.6 of the latter. Shipped sensors are not refined; identified ones of up to
 0.15 mm of noise are. On a dome pressed by another solver (0.05 mm), 1,000 nodes have an IoU of 0.96
@@ -101,7 +101,9 @@ class ContactRefiner:
         self._mean_sigma_m = float(of_square) ** -0.5
         self._last: dict[bool, _Part] = {}  # by whether refined twice
 
-    def refine(self, depth_m: np.ndarray, estimate: Estimate) -> FineContact | None:
+    def refine(
+        self, depth_m: np.ndarray, estimate: Estimate, mean_noise: float = 1.0
+    ) -> FineContact | None:
         """Contact of a frame on a finer mesh; None where that would not improve it.
 
         Parameters
@@ -110,8 +112,11 @@ class ContactRefiner:
             z-depth, m; NaN where there is no return.
         estimate : Estimate
             Of this frame.
+        mean_noise : float
+            σ of its noise over that of the camera, if it is a mean of images.
         """
-        nominal = self._estimator.resolution_m
+        camera = self._estimator.resolution_m
+        nominal = at_noise(camera, mean_noise)
         resolution = estimate.resolution_m or nominal
         if resolution > _FRAME_LIMIT * self._model.mesh.edge_length:
             return None
@@ -120,12 +125,14 @@ class ContactRefiner:
         touching = touching_parts(self._model.mesh, pressure > 0.0, pressure, gas, resolution)
         if not 0 < np.count_nonzero(touching) <= _MOST_NODES:
             return None
-        noise = noise_at(resolution, nominal)
+        noise = noise_at(resolution, camera)
         small = np.count_nonzero(touching) <= _MOST_TWICE
         limit_m = 0.5 * _FRAME_LIMIT * self._model.mesh.edge_length  # of the mesh refined once
         for twice in (True, False) if small and nominal <= limit_m else (False,):
             try:
-                fine = self._solve(self._part(touching, twice), depth_m, estimate, noise)
+                fine = self._solve(
+                    self._part(touching, twice), depth_m, estimate, noise, mean_noise
+                )
             except (RuntimeError, np.linalg.LinAlgError, InputError):
                 continue  # a singular tangent, or Hessian; or no pixel sees the part
             if fine and not (twice and fine.resolution_m > limit_m):
@@ -186,7 +193,12 @@ class ContactRefiner:
         return RangeObserver(camera, mesh, noise, model.pixels, block, seen)
 
     def _solve(
-        self, part: _Part, depth_m: np.ndarray, estimate: Estimate, noise: float
+        self,
+        part: _Part,
+        depth_m: np.ndarray,
+        estimate: Estimate,
+        noise: float,
+        mean_noise: float,
     ) -> FineContact | None:
         finer, observer, bubble = part.finer, part.observer, part.bubble
         gas, least = estimate.gas_pressure_change_pa, self._gas_pressure(estimate)
@@ -206,7 +218,7 @@ class ContactRefiner:
         off_m = np.zeros(observer.blocks)
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
-        beyond_m = np.sqrt(max(noise**2 - 1.0, 0.0)) * self._mean_sigma_m
+        beyond_m = np.sqrt(max(noise**2 - mean_noise**2, 0.0)) * self._mean_sigma_m
         errors = part.smooth if beyond_m > 0.0 else part.smooth[:, :0]
         for _ in range(_STEPS + part.twice):
             view = observer.around(x, view)
@@ -239,9 +251,13 @@ class ContactRefiner:
         )
 
 
-def mesh_limits(estimator: Estimator) -> bool:
-    """Whether an estimator's mesh blurs contacts more than the noise of its camera does."""
-    return estimator.resolution_m < _SENSOR_LIMIT * estimator.mesh.edge_length
+def mesh_limits(estimator: Estimator, mean_noise: float = 1.0) -> bool:
+    """Whether an estimator's mesh blurs contacts more than the noise of its camera does.
+
+    `mean_noise`: σ of the noise of a mean of images over that of one.
+    """
+    resolution = at_noise(estimator.resolution_m, mean_noise)
+    return resolution < _SENSOR_LIMIT * estimator.mesh.edge_length
 
 
 def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:

@@ -56,6 +56,8 @@ class Frame:
         Mean of this depth image and those around that show the same, see `StillFrames`.
     images : int
         Number of depth images in that mean.
+    mean_noise : float
+        Standard deviation of its noise over that of one image.
     """
 
     index: int
@@ -73,6 +75,7 @@ class Frame:
     image_errors: ImageErrors | None = None
     mean_depth_m: np.ndarray | None = None
     images: int = 1
+    mean_noise: float = 1.0
 
     def __post_init__(self) -> None:
         no_return = self.depth_m <= 0.0  # as plug-ins and callers write it

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bubbleviz.api.estimating import patch_options
+from bubbleviz.averaging import StillFrames
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.files import preset_names
 from bubbleviz.inverse import (
@@ -116,6 +117,20 @@ def test_the_pixels_of_two_small_contacts_are_closer_to_the_true_ones(membrane, 
             force = -(pipe.mesh.areas * pressure) @ pipe.mesh.normals
             np.testing.assert_allclose(result.patch.force_n, force, rtol=1e-12, atol=1e-15)
     assert overlaps[0] > overlaps[1] + closer
+
+
+def test_the_mean_of_images_of_an_object_at_rest_is_refined_as_one_of_its_noise():
+    mesh, motion, truth = two_balls()
+    frames = [
+        replace(frame_of(mesh, motion, 0.01 * 0.065, seed=k), index=k, time_s=k / 30.0)
+        for k in range(11)
+    ]
+    pipe, overlaps = pipeline(500, 0.01), []
+    for frame in (frames[5], StillFrames(pipe, frames).applied(frames[5])):
+        pipe.restart()
+        mask = pipe.process(frame, PRODUCTS).patch.pixel_mask
+        overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
+    assert overlaps[1] > overlaps[0] + 0.1
 
 
 @pytest.mark.parametrize("seed", range(3))
