@@ -119,8 +119,9 @@ def estimate(
     Parameters
     ----------
     frames : Frame, sequence of Frame, path or LiveStream
-        Returned by `open`, `simulate` or `connect`, a slice of it, or the path of a recording. For
-        arrays use `Estimator`.
+        Returned by `open`, `simulate` or `connect`, a slice of it, or the path of a recording. A
+        `Frame` is estimated by itself; the slice `frames[k : k + 1]` also by the images around it
+        and the zeros of its recording. For arrays use `Estimator`.
     sensor : str, path or Sensor
         Sensor file or preset; `auto`: the preset whose camera has the images' size, or the
         stream's sensor.
