@@ -291,11 +291,13 @@ class _RestComparison:
     def causes(self) -> tuple[int, ...]:
         """Numbers of the causes, all of them beyond their intervals and limits.
 
-        Of as many as possible those that together leave the least; none where the change is not
-        significant.
+        Of as many as possible those that together leave the least, until no more is left than
+        noise leaves on average; none where the change is not significant.
         """
         chosen: tuple[int, ...] = ()
-        while len(chosen) < len(_CAUSES) and self.chi2 > self.chi2_limit:
+        if self.chi2 <= self.chi2_limit:
+            return chosen
+        while len(chosen) < len(_CAUSES) and self._chi2_without(chosen) > 1.0:
             best = min(combinations(range(len(_CAUSES)), len(chosen) + 1), key=self._chi2_without)
             for cause in best:
                 # the material scales the effect of the gas, so it matters to its size only
@@ -340,15 +342,18 @@ class _RestComparison:
         """Size of a cause fitted with others, and half of its 95 % interval.
 
         By the images and the measured gas pressure. The interval combines the variation between
-        frames, the residuals of squares of blocks, the differences between rings from rim to top,
-        and the error of the material unless left out.
+        frames (about a straight line: a drift that goes on is no noise), the residuals of squares
+        of blocks, the differences between rings from rim to top, and the error of the material
+        unless left out.
         """
         causes = (cause, *(each for each in causes if each != cause))
         influence, left_m = self._influence(causes), self._without(causes)
         sizes, squares = influence @ self.mean_m, self._squares.of_block
         of_gas = np.array([each == _GAS for each in causes], float)
+        varied, time = influence @ self.frames_m.T, np.linspace(-1.0, 1.0, len(self.frames_m))
+        varied -= np.outer(varied @ time, time) / (time @ time)
         errors = [
-            np.array([[error_of_mean(self.frames_m @ each)] for each in influence]),
+            np.array([[error_of_mean(each)] for each in varied]),
             tile_errors(influence.T, left_m, squares, len(causes)).T,
             jackknife_errors(lambda kept: self._influence(causes, kept) @ left_m, self._ring).T,
             material * (of_gas @ sizes) * influence @ self._by_gas[1].T,

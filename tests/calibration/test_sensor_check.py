@@ -81,6 +81,17 @@ def test_an_offset_of_depth(sensor, rest, offset_m):
     assert found.force_error_n < 0.05 * found.press_n  # the estimator allows for an offset
 
 
+def test_an_offset_that_grows_while_it_is_recorded(sensor, rest):
+    grows = np.linspace(0.0, 3e-4, REST)
+    frames = [
+        with_depth([f], lambda z, by=by: z + by)[0] for f, by in zip(rest, grows, strict=True)
+    ]
+    found = bv.check(frames, sensor)
+    assert found.verdict == "drifted", found.reason
+    assert found.bias_m == pytest.approx(1.5e-4, abs=2e-5)
+    assert [row.quantity for row in found.rows if row.todo] == ["depth offset"]
+
+
 def test_a_scale_of_depth(sensor, rest):
     found = bv.check(with_depth(rest, lambda depth: 1.005 * depth), sensor)
     assert found.verdict == "drifted"
