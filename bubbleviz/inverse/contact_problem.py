@@ -16,7 +16,7 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import log
+from math import log, sqrt
 
 import numpy as np
 from scipy import sparse
@@ -25,7 +25,7 @@ from scipy.linalg.blas import dger
 
 from bubbleviz.inverse.measurements import Measurements
 from bubbleviz.inverse.pivoting import nonnegative_qp, part
-from bubbleviz.inverse.resolution import blur_m, universal_threshold
+from bubbleviz.inverse.resolution import MESH_BLUR, universal_threshold
 from bubbleviz.inverse.response import Tangent
 from bubbleviz.membrane import (
     MembraneMesh,
@@ -603,6 +603,10 @@ class ContactProblem:
 # Which connected parts of an estimated pressure are significant contacts.
 
 
+_CELL = 0.5 * sqrt(3.0)
+"""Area of a node's cell in squares of the edges around it, of equilateral triangles."""
+
+
 def touching_parts(
     mesh: MembraneMesh,
     support: np.ndarray,
@@ -613,13 +617,15 @@ def touching_parts(
     """Parts of a support (n,) bool whose peak pressure is at least that of a body that touches.
 
     A convex body carries `least_pa` or more, p. A load F that is spread evenly at p over a disc and
-    blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))).
+    blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))). ℓ is that of the mesh where the part is.
     """
-    blur = blur_m(resolution_m, mesh.edge_length)
     least_pa = max(least_pa, 1e-3)  # without gas pressure everything touches
     count, part = connected_parts(mesh.rings, support)
     found = pressure[support]
-    load = np.bincount(part, mesh.areas[support] * found, minlength=count)
+    areas = mesh.areas[support]
+    load = np.bincount(part, areas * found, minlength=count)
+    cell = np.bincount(part, areas, minlength=count) / np.bincount(part, minlength=count)
+    blur = np.maximum(resolution_m, MESH_BLUR * np.sqrt(cell / _CELL))
     least = -least_pa * np.expm1(-load / (2.0 * np.pi * blur**2 * least_pa))
     touching = np.bincount(part, (found > 0.0) & (found >= least[part]), minlength=count) > 0.0
     kept = support.copy()

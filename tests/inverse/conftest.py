@@ -43,10 +43,10 @@ def fine_mesh():
     return build_mesh(SENSOR, 6000)
 
 
-def press(name, depth_m):
+def press(name, depth_m, place_m=(0.006, -0.004)):
     mesh = fine_mesh()
     T_B_O = np.eye(4)
-    T_B_O[:3, 3] = [0.006, -0.004, 0.05 - depth_m]
+    T_B_O[:3, 3] = [*place_m, 0.05 - depth_m]
     model = ForwardModel(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
     contact = model.press(load_object(name), T_B_O)
     return Press(mesh, contact, MembraneView(CAMERA, mesh).range_image(contact.displacement_m))

@@ -49,6 +49,21 @@ def test_a_deep_press_is_solved_from_rest_on_a_mesh_that_is_finer_there(noise):
     assert off(first(Estimator(observer, film), truth.depth(noise)), truth) < 0.01
 
 
+@pytest.mark.parametrize(("name", "x"), [("cylinder", 0.0), ("sphere", 0.003), ("sphere", 0.006)])
+def test_a_light_press_is_found_on_a_mesh_that_is_coarser_there(name, x):
+    """Contacts of one or two nodes, whose cells are many times those of most nodes."""
+    mesh = build_mesh(SENSOR, 300)
+    for _ in range(2):
+        away = np.hypot(mesh.nodes[:, 0], mesh.nodes[:, 1]) > 0.035
+        mesh = refinement(mesh, away[mesh.triangles].all(axis=1)).mesh
+    truth = press(name, 4e-4 if name == "cylinder" else 1.2e-3, (x, -0.002))
+    observer = RangeObserver(CAMERA, mesh, 1e-3, block=2)
+    film = ConstantTension(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
+    found = first(Estimator(observer, film), truth.depth(1e-3))
+    assert found.status == "ok"
+    assert off(found, truth) < 0.2
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_force_and_gas_pressure_of_a_known_press(sphere, noise):
     solver = estimator(1000)
