@@ -5,7 +5,6 @@ from .dual_stage import (
 )
 from .image_fit import (
     ROUNDING_M as ROUNDING_M,
-    TRUST as TRUST,
     ImageFit as ImageFit,
 )
 from .motion import (

@@ -19,9 +19,6 @@ from bubbleviz.pose.registration import ContactPoints, Directions, Precision
 _AROUND_M = 8e-3  # around the patch pixels are compared; further away the membrane hardly moves
 _OUTLIER_SIGMAS = 4.0  # residual in standard deviations that reduces a pixel to a quarter
 _MIN_SIGMA_M = 5e-4  # lower bound of the noise, below which model errors dominate
-TRUST = 0.3
-"""Weight of the pixels' information: the error of the model's facets persists until the object's
-edge has moved to others, with twice the variance of the noise averaged over that time."""
 _MODEL_DEVIATION_M = 5e-4
 """Model error of the membrane around the contact, as motions of the object in the directions that
 the contact determines: stiffness and gas are known no better."""
@@ -140,7 +137,7 @@ class ImageFit:
         off[predicted.on_face[valid]] = 0.0
         off = np.column_stack([off, predicted.rounding[valid]])
         J = np.hstack([J, off])
-        weight = TRUST * count[valid] * _weights(residual)
+        weight = count[valid] * _weights(residual)
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
         known_off = np.full(off.shape[1], _MODEL_DEVIATION_M)
