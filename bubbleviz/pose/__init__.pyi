@@ -4,7 +4,6 @@ from .dual_stage import (
     touching_directions as touching_directions,
 )
 from .image_fit import (
-    ROUNDING_M as ROUNDING_M,
     ImageFit as ImageFit,
 )
 from .motion import (
@@ -20,6 +19,7 @@ from .object_patch import (
     ObjectPatchFinder as ObjectPatchFinder,
 )
 from .pressed_membrane import (
+    ROUNDING_M as ROUNDING_M,
     ObjectContact as ObjectContact,
     PressedMembrane as PressedMembrane,
     PressOptions as PressOptions,

@@ -13,7 +13,7 @@ import numpy as np
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
 from bubbleviz.membrane import area_vectors
 from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, turning, way_at
-from bubbleviz.pose.pressed_membrane import Press, PressedMembrane
+from bubbleviz.pose.pressed_membrane import ROUNDING_M, Press, PressedMembrane
 from bubbleviz.pose.registration import ContactPoints, Directions, Precision
 
 _AROUND_M = 8e-3  # around the patch pixels are compared; further away the membrane hardly moves
@@ -22,9 +22,6 @@ _MIN_SIGMA_M = 5e-4  # lower bound of the noise, below which model errors domina
 _MODEL_DEVIATION_M = 5e-4
 """Model error of the membrane around the contact, as motions of the object in the directions that
 the contact determines: stiffness and gas are known no better."""
-ROUNDING_M = 1e-3
-"""Radius of edges, which are modelled sharp: objects are rounded there, and the membrane has a
-thickness."""
 
 
 @dataclass(frozen=True)

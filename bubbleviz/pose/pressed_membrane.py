@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from bubbleviz.membrane import (
     Gas,
@@ -66,11 +67,14 @@ _MAX_COSINE = -0.5
 in contact. Beyond 60° the closest membrane is beside the point: that of a wall in the air above the
 membrane would count as inside it, by rounding."""
 _MAX_STEP_M = 3e-3  # of Newton's method: the size of a triangle, beyond which the contact changes
-_TRIES = 30
-_MAX_TRIES = 200_000  # random points for each one that is kept, and in total
-_SHARPEST = 0.1
-"""Lower limit of 1 + cos(angle between the normals of an edge): sharper edges are treated as edges
-of 26°, as rounding would move their tip too far back."""
+_TRIES, _NEAR = 30, 10
+_MAX_TRIES = 200_000  # random points for each one kept, and in a square of a rounding; in total
+ROUNDING_M = 1e-3
+"""Radius of edges, which are modelled as they are: objects are rounded there, the membrane has a
+thickness, and its triangles cannot follow a rounding as narrow as they are."""
+_SHARPEST = 0.05
+"""Lower limit of (1 + cos(angle between the normals of an edge))/2: sharper edges are treated as
+edges of 26°, as rounding would move their tip too far back."""
 
 
 def contact_samples(model: ObjectSurface, spacing_m: float) -> tuple[np.ndarray, np.ndarray]:
@@ -104,6 +108,26 @@ def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
     return order[np.concatenate([np.ones(min(1, len(order)), bool), new])]
 
 
+def _cores(model: ObjectSurface, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Ways (k, 3) from the centre of a rounding of unit radius to points (k, 3) of the surface.
+
+    By the mean of the normals (k, 2, 3) of a sharp edge, elsewhere of those around: of a flat place
+    it is the normal, of an edge that is rounded already the shorter the narrower.
+    """
+    mean = normals.mean(axis=1)
+    count = min(_MAX_TRIES, int(_NEAR * model.area_m2 / ROUNDING_M**2) + _NEAR)
+    near, own = model.sample(count)
+    pair = cKDTree(points).sparse_distance_matrix(cKDTree(near), ROUNDING_M, output_type="ndarray")
+    i, around = pair["i"], own[pair["j"]]
+    alike = np.einsum("ij,ij->i", normals[i, 0], around) > 1e-6
+    alike &= np.all(normals[i, 0] == normals[i, 1], axis=1)
+    for axis in range(3):
+        mean[:, axis] += np.bincount(i[alike], around[alike, axis], len(points))
+    mean /= 1.0 + np.bincount(i[alike], minlength=len(points))[:, None]
+    core: np.ndarray = mean / np.maximum(np.einsum("ij,ij->i", mean, mean), _SHARPEST)[:, None]
+    return core
+
+
 @dataclass(frozen=True)
 class Touching:
     """Points of the object in contact with the membrane."""
@@ -122,7 +146,7 @@ class Touching:
     # the penetration changes, and the load passes from corner to corner
     slopes_n_per_m: np.ndarray
     edge: np.ndarray  # (c,) bool, on an edge of the object
-    # (c, 3), derivative of points on edges by the edge radius; 0 on faces. The centre of a rounding
+    # (c, 3), derivative of the points by the edge radius; 0 on flat faces. The centre of a rounding
     # is at a distance of its radius inside both faces, and the pushing point that far from there.
     rounding: np.ndarray
 
@@ -155,9 +179,7 @@ class ObjectContact:
     ) -> None:
         self._points, self._normals = contact_samples(model, spacing_m)
         self._edge = np.any(self._normals[:, 0] != self._normals[:, 1], axis=1)
-        both = self._normals.sum(axis=1)
-        one_and_cosine = 0.5 * np.einsum("ij,ij->i", both, both)
-        self._core = both / np.maximum(one_and_cosine, _SHARPEST)[:, None]
+        self._core = _cores(model, self._points, self._normals)
         face, edge = pressure_pa * spacing_m**2, tension_n_per_m * 0.5 * spacing_m
         self._stiffness = np.where(self._edge, edge, face) / _SOFTNESS_M
         self.reset()
