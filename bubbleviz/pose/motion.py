@@ -109,14 +109,9 @@ class Motion:
     def after(self, dt_s: float) -> Motion:
         """Predict after some time."""
         dt = min(max(dt_s, 0.0), _MAX_COAST_S)
-        F = np.eye(12)
-        F[:6, 6:] = dt * np.eye(6)
-        gain = np.concatenate([0.5 * dt**2 * _ACCELERATION, dt * _ACCELERATION])
-        noise = np.zeros((12, 12))
-        index = np.arange(6)
-        noise[index, index] = gain[:6] ** 2
-        noise[index + 6, index + 6] = gain[6:] ** 2
-        noise[index, index + 6] = noise[index + 6, index] = gain[:6] * gain[6:]
+        F = np.kron([[1.0, dt], [0.0, 1.0]], np.eye(6))
+        gain = np.array([0.5 * dt**2, dt])
+        noise = np.kron(np.outer(gain, gain), np.diag(_ACCELERATION**2))
         motion = dt * self.velocity
         T, center = moved(self.T_B_O, motion, self.center), self.center + motion[:3]
         return Motion(T, self.velocity, F @ self.covariance @ F.T + noise, center)._turned(motion)
@@ -127,12 +122,10 @@ class Motion:
         It is about the centre as it has moved.
         """
         P, motion = self.covariance, motion_between(self.T_B_O, T_B_O, self.center)
-        gain = np.linalg.solve(P[:6, :6], P[:6, 6:]).T
-        posterior = np.linalg.inv(self.information + information)
-        velocity = self.velocity + gain @ motion
-        cross = gain @ posterior
-        own = P[6:, 6:] - gain @ (P[:6, :6] - posterior) @ gain.T
-        covariance = np.block([[posterior, cross.T], [cross, own]])
+        gain = np.concatenate([np.eye(6), np.linalg.solve(P[:6, :6], P[:6, 6:]).T])
+        velocity = self.velocity + gain[6:] @ motion
+        change = np.linalg.inv(self.information + information) - P[:6, :6]
+        covariance = P + gain @ change @ gain.T
         center = self.center + motion[:3]
         return Motion(T_B_O, velocity, 0.5 * (covariance + covariance.T), center)._turned(motion)
 
