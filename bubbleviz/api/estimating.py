@@ -497,7 +497,8 @@ def _other_poses(index: int, pose: Pose) -> str:
 def _check_any_pose(run: Run) -> None:
     statuses: Counter[Any] = Counter(row["status"] for row in run.poses)
     if "ok" not in statuses:
-        why = _REASONS[statuses.most_common(1)[0][0]]
+        touched = Counter({each: n for each, n in statuses.items() if each != "no_contact"})
+        why = _REASONS[(touched or statuses).most_common(1)[0][0]]
         raise InputError(
             f"{run.context['recording']}: no pose in any frame; most frequent reason: {why}"
         )

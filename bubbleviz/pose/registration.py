@@ -54,9 +54,12 @@ class ContactPoints:
 
 
 def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> ContactPoints | None:
-    """Contact points of an estimate; None if there are too few for a pose."""
+    """Contact points of an estimate, on its finest mesh; None if there are too few for a pose."""
+    friction = np.zeros_like(mesh.nodes) if estimate.friction_n is None else estimate.friction_n
+    friction, membrane = friction / mesh.areas[:, None], mesh.deformed(estimate.motion_m)
+    mesh, estimate, of_node = patch.finest(mesh, estimate)
     nodes = mesh.deformed(estimate.motion_m)
-    inside = patch.level > 0.0
+    inside = of_node > 0.0
     near = np.any(inside[mesh.triangles], axis=1)
     if not near.any():
         return None
@@ -68,14 +71,13 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     vectors = area_vectors(nodes, triangles)
     areas = np.linalg.norm(vectors, axis=1)
     points = np.einsum("qj,tjk->tqk", _CENTRES, corners).reshape(-1, 3)
-    level = (patch.level[triangles] @ _CENTRES.T).ravel()
+    level = (of_node[triangles] @ _CENTRES.T).ravel()
     pressure = (estimate.contact_pressure_pa[triangles] @ _CENTRES.T).ravel()
     on = np.flatnonzero(level > 0.0)
     if len(on) < MIN_POINTS:
         return None
     facets = vectors / areas[:, None]
     share = 0.25 * np.repeat(areas, 4)
-    friction = np.zeros_like(nodes) if estimate.friction_n is None else estimate.friction_n
     center = share[on] @ points[on] / share[on].sum()
     at_rest = np.einsum("qj,tjk->tqk", _CENTRES, mesh.nodes[triangles]).reshape(-1, 3)
     spread = share[on] @ np.sum((points[on] - center) ** 2, axis=1) / share[on].sum()
@@ -87,13 +89,13 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         normals=facets[kept // 4],
         areas_m2=share[kept] * (share[on].sum() / share[kept].sum()),
         pressure_pa=pressure[kept],
-        friction_pa=friction / mesh.areas[:, None],
+        friction_pa=friction,
         free=points[free],
         free_areas_m2=np.full(len(free), share[on].mean()),
         center=center,
         radius_m=float(np.sqrt(spread)),
         rest_center=share[on] @ at_rest[on] / share[on].sum(),
-        membrane=nodes,
+        membrane=membrane,
     )
 
 

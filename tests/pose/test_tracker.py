@@ -14,7 +14,8 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import looking_different, motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
-from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
+from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object, touching_height
+from tests.small_press import changed
 
 PRODUCTS = frozenset({"pose"})
 FRAMES = 6
@@ -182,6 +183,22 @@ def test_a_patch_of_a_few_points_is_too_few(pipeline, source):
     small = replace(result.patch, level=level)
     pose = pipeline.tracker.update(result.frame, result.estimate, small)
     assert pose.status == "few_points"
+
+
+def test_a_narrow_contact_has_a_pose_where_it_is_refined(sensor):
+    """A rod that touches two rows of the membrane's triangles, seen with little noise."""
+    rod = trimesh.creation.capsule(height=0.014, radius=0.0025)
+    rod.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2.0, [0.0, 1.0, 0.0]))
+    obj = RigidObject("rod", np.array(rod.vertices), np.array(rod.faces))
+    pose = np.eye(4)
+    precise = changed(sensor, camera={"noise_relative": 1e-3})
+    pose[2, 3] = touching_height(obj, pose, build_mesh(precise)) - 3e-3
+    frame = SyntheticSource(precise, obj, pose[None], DepthNoise(relative=1e-3), nodes=4_000)[0]
+    pipeline = Pipeline.of(precise)
+    pipeline.track(obj, moved(pose, np.array([1e-3, -1e-3, 1e-3, 0.0, 0.0, 0.1]), pose[:3, 3]))
+    found = pipeline.process(frame, PRODUCTS).pose
+    assert found.status == "ok"
+    assert np.abs(found.T_B_O[1:3, 3] - pose[1:3, 3]).max() < 3e-4  # across the rod
 
 
 def test_invalid_objects_are_refused(pipeline):
