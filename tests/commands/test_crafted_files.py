@@ -41,9 +41,7 @@ def image_message(k, stamp=START, kind="mcap file"):
     """Serialised image message."""
     bag = BagMaker(kind)
     bag.image(stamp, depth_image(k))
-    return bytes(
-        (bag.store.serialize_ros1 if bag.ros1 else bag.store.serialize_cdr)(bag.rows[0][3], IMAGE)
-    )
+    return bag.payload(IMAGE, bag.rows[0][3])
 
 
 def write_mcap(path, payloads, times_ns, **options):

@@ -1,7 +1,7 @@
 """A robot in its own process: publishes with zenoh alone, in both layouts of keys.
 
-Usage: robot.py PORT LAYOUT FIRST [MODE]. Counts images from FIRST, at 100 Hz, and prints each count
-once it is sent. In mode `bad` every third message is something that no camera sends.
+Usage: python -m tests.live.robot PORT LAYOUT FIRST [MODE]. Counts images from FIRST, at 100 Hz, and
+prints each count once it is sent. In mode `bad` every third message is none that a camera sends.
 """
 
 import json
@@ -9,8 +9,9 @@ import struct
 import sys
 import time
 
-import wire
 import zenoh
+
+from tests.live import wire
 
 HASH = "RIHS01_d31d41a9a4c4bc8eae9be757b0beed306564f7526c88ea6a4588fb9582527d47"
 KEYS = {

@@ -14,9 +14,10 @@ from bubbleviz.live import Recorder, SessionOptions, ZenohPublisher, open_sessio
 @contextmanager
 def robot(port, first=0, *mode, layout="rmw"):
     """Publishes images as a ROS 2 node does, in a process of its own, until it is killed."""
-    script = Path(__file__).with_name("robot.py")
-    command = [sys.executable, str(script), str(port), layout, str(first), *mode]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, text=True)
+    module = ["-m", "tests.live.robot", str(port), layout, str(first), *mode]
+    process = subprocess.Popen(
+        [sys.executable, *module], stdout=subprocess.DEVNULL, cwd=Path(__file__).parents[2]
+    )
     try:
         yield process
     finally:

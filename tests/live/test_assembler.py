@@ -30,7 +30,6 @@ from wire import (
     wrench,
 )
 
-from bubbleviz.camera import Intrinsics
 from bubbleviz.live import WAIT_NS, FrameAssembler, TopicNames, stamp_of
 from bubbleviz.recordings import Frame, Message
 
@@ -197,26 +196,6 @@ def test_topics_of_other_sensors_and_own_results_are_ignored():
     assembler = FrameAssembler()
     assert frames_of(assembler, ours) == []
     assert assembler.counters.undecodable == 0
-
-
-def test_point_clouds_become_depth_images():
-    camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)
-    truth = np.linspace(0.1, 0.2, HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
-    truth[3, 4] = np.nan
-    points = np.concatenate([camera.slopes(), np.ones((HEIGHT, WIDTH, 1))], -1) * truth[..., None]
-    organised = arrived("/cloud", CLOUD, cloud(NOW, points, HEIGHT, WIDTH), NOW)
-    (frame,) = frames_of(FrameAssembler(), organised)
-    np.testing.assert_array_equal(frame.depth_m, truth)
-    loose = np.random.default_rng(0).permutation(points.reshape(-1, 3))
-    behind = loose * 1.5  # hidden behind the nearer ones
-    both = np.concatenate([loose, behind])
-    message = arrived("/cloud", CLOUD, cloud(NOW, both, 1, len(both)), NOW)
-    (frame,) = frames_of(FrameAssembler(camera=camera), message)
-    np.testing.assert_array_equal(frame.depth_m, truth)
-    blind = FrameAssembler()
-    assert frames_of(blind, message) == []
-    assert blind.counters.undecodable == 1
-    assert "camera info" in blind.counters.problem
 
 
 GOOD = {

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from robot import KEYS, TOKENS, open_session
 from streams import messages_in
-from wire import image
+from wire import image, sent
 
 from benchmarks.window.live_soak import free_port
+from tests.colour.colour_bag import TRANSFORMS, add_pose
 from tests.commands.limited import MEMORY, in_process
 from tests.program import facts_of, run
 from tests.recordings.bagmaker import PERIOD, START, BagMaker, depth_image
 
-TF = "tf2_msgs/msg/TFMessage"
 BEFORE, GAP_S, OUTAGE_S = 4, 1.5, 0.7
 """Frames before and after each gap, its length, and the time that is waited: less than half."""
 
@@ -64,20 +64,12 @@ def test_a_token_without_a_topic_ends_nothing(small_sensor_file, tmp_path, comma
 def test_ever_new_static_poses_are_not_all_kept(tmp_path):
     """200 MB of them, each with a frame of reference of 1 MB."""
     bag = BagMaker("mcap plain")
-    types = bag.store.types
-    vector = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    pose = types["geometry_msgs/msg/Transform"](vector, turn)
-    name = "link 0000" + "x" * 10**6
-    message = types[TF](
-        [types["geometry_msgs/msg/TransformStamped"](bag.header(START), name, pose)]
-    )
-    payload = bytes(bag.store.serialize_cdr(message, TF))
+    payload = sent(add_pose, "camera", "link 0000" + "x" * 10**6, (0.0, 0.0, 0.0))
     for k in range(10):
         bag.image(START + k * PERIOD, depth_image(k))
     for k in range(200):
-        sent = payload.replace(b"link 0000", b"link %04d" % k)
-        bag.rows.append(("/tf_static", TF, START + k * PERIOD // 40, sent))
+        other = payload.replace(b"link 0000", b"link %04d" % k)
+        bag.rows.append(("/tf_static", TRANSFORMS, START + k * PERIOD // 40, other))
     source = f"replay:{bag.write(tmp_path)}"
     done, peak = in_process(tmp_path, "record", "--source", source, "--out", tmp_path / "out.mcap")
     assert done.returncode == 0, done.stderr

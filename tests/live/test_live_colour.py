@@ -17,14 +17,13 @@ from wire import (
     NOW,
     PERIOD,
     SECOND,
-    STORE,
     arrived,
     camera_info,
-    cdr,
     depth,
     grey,
     header,
     image as wire_image,
+    sent,
 )
 from zenoh import ext
 
@@ -41,6 +40,7 @@ from bubbleviz.live import (
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import STATIC_TRANSFORMS, TRANSFORMS, Message, Recording, StaticPoses
 from bubbleviz.sensor import with_colour_delay
+from tests.colour.colour_bag import add_pose
 
 COLOUR, JPEG = "/cam/color/image_raw", "sensor_msgs/msg/CompressedImage"
 
@@ -258,16 +258,8 @@ def test_a_replay_sends_colour_until_the_last_subscriber_leaves(
 
 def static_pose(parent, child, at_m):
     """T_parent_child: a quarter turn about z, on /tf_static."""
-    kinds = STORE.types
-    turn = kinds["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.5**0.5, 0.5**0.5)
-    transform = kinds["geometry_msgs/msg/Transform"](
-        kinds["geometry_msgs/msg/Vector3"](*at_m), turn
-    )
-    head = header(NOW)
-    head.frame_id = parent
-    stamped = kinds["geometry_msgs/msg/TransformStamped"](head, child, transform)
-    message = kinds[TRANSFORMS]([stamped])
-    return arrived(STATIC_TRANSFORMS, TRANSFORMS, cdr(message, TRANSFORMS), 0)
+    turn = (0.0, 0.0, 0.5**0.5, 0.5**0.5)
+    return arrived(STATIC_TRANSFORMS, TRANSFORMS, sent(add_pose, parent, child, at_m, turn), 0)
 
 
 def framed(stamp, k, frame_id):

@@ -3,8 +3,27 @@
 import numpy as np
 import pytest
 from streams import frames_of, recorded
-from wire import NOW, PERIOD, PRESSURE, SECOND, WRENCH, arrived, depth, gas, grey, pressure, wrench
+from wire import (
+    CLOUD,
+    HEIGHT,
+    INFO,
+    NOW,
+    PERIOD,
+    PRESSURE,
+    SECOND,
+    WIDTH,
+    WRENCH,
+    arrived,
+    camera_info,
+    cloud,
+    depth,
+    gas,
+    grey,
+    pressure,
+    wrench,
+)
 
+from bubbleviz.camera import Intrinsics
 from bubbleviz.live import FrameAssembler
 from bubbleviz.recordings import Message, Recording
 
@@ -80,3 +99,34 @@ def test_recording_and_stream_have_the_same_values_for_each_frame(tmp_path, mess
         assert [value for _, value, *_ in live[:2]] == pytest.approx(has)
     if "color" in "".join(message.topic for message in messages):
         assert [level for *_, level, _ in live] == [k if k % 3 else None for k in range(12)]
+
+
+@pytest.mark.parametrize("rows", [True, False])
+def test_point_clouds_are_the_same_depth_images_live_and_recorded(tmp_path, rows):
+    """In rows, or in any order, of which the nearest points count; those need the camera."""
+    camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)  # as wire.camera_info has it
+    rays, random = np.dstack([camera.slopes(), np.ones((HEIGHT, WIDTH))]), np.random.default_rng(0)
+    truths = np.linspace(0.1, 0.2, 3 * HEIGHT * WIDTH, dtype=np.float32).reshape(3, HEIGHT, WIDTH)
+    truths[:, 3, 4] = np.nan
+    clouds, infos = [], []
+    for k, truth in enumerate(truths):
+        stamp, points = NOW + k * PERIOD, rays * truth[..., None]
+        if not rows:
+            points = random.permutation(np.concatenate([points, 1.5 * points]).reshape(-1, 3))
+        shape = (HEIGHT, WIDTH) if rows else (1, len(points))
+        clouds.append(arrived("/tof/points", CLOUD, cloud(stamp, points, *shape), stamp))
+        infos.append(arrived("/tof/camera_info", INFO, camera_info(stamp), stamp))
+    for assembler, sent in (
+        (FrameAssembler(), [m for pair in zip(infos, clouds, strict=True) for m in pair]),
+        (FrameAssembler(camera=camera), clouds),
+    ):
+        found = [frame.depth_m for frame in frames_of(assembler, *sent)]
+        np.testing.assert_array_equal(found, truths)
+    with Recording(recorded(tmp_path / "rec.mcap", [*infos, *clouds])) as recording:
+        assert (recording.size, recording.encoding) == ((WIDTH, HEIGHT), "points")
+        np.testing.assert_array_equal([frame.depth_m for frame in recording], truths)
+    blind = FrameAssembler()
+    if rows:
+        assert len(frames_of(blind, *clouds)) == 3
+    else:
+        assert frames_of(blind, *clouds) == [] and "camera info" in blind.counters.problem

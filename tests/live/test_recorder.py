@@ -124,7 +124,7 @@ def test_nothing_is_overwritten_and_only_one_recording_runs(tmp_path):
 STREAM = """
 import sys, time
 sys.path.insert(0, {tests!r})
-from wire import NOW, depth, gas
+from tests.live.wire import NOW, depth, gas
 from bubbleviz.live import Recorder
 recorder = Recorder()
 recorder.start({path!r})
@@ -145,7 +145,7 @@ while True:
 )
 def test_a_recorder_that_is_killed_leaves_all_but_the_last_second(tmp_path, name, seed):
     path = tmp_path / name
-    code = STREAM.format(tests=str(Path(__file__).parent), path=str(path))
+    code = STREAM.format(tests=str(Path(__file__).parents[2]), path=str(path))
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
     for _ in range(random.Random(seed).randint(250, 300)):  # more than a second
         process.stdout.readline()
@@ -176,9 +176,9 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_messages_so_far(tmp_path, 
     path = tmp_path / "rec.mcap"
     code = f"""
         import resource, signal, sys, time
-        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        sys.path.insert(0, {str(Path(__file__).parents[2])!r})
         import numpy as np
-        from wire import IMAGE, NOW, PERIOD, image, arrived
+        from tests.live.wire import IMAGE, NOW, PERIOD, image, arrived
         from bubbleviz.live import Recorder
         from bubbleviz.recordings import ros2_types
         ros2_types()

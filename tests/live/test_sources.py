@@ -8,8 +8,6 @@ import pytest
 from realsense_file import record_realsense
 from streams import messages_in, played, recorded
 from wire import (
-    CLOUD,
-    HEIGHT,
     IMAGE,
     INFO,
     NOW,
@@ -17,16 +15,11 @@ from wire import (
     PRESSURE,
     SECOND,
     STORE,
-    WIDTH,
-    arrived,
-    camera_info,
-    cloud,
     depth,
     gas,
 )
 
 from bubbleviz.api.watching import Watcher
-from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError
 from bubbleviz.live import (
     LiveSession,
@@ -244,34 +237,6 @@ def test_looped_replay_continues(recording, small_sensor):
                 break
         counters = stream.counters
     assert (counters.bad_stamps, counters.out_of_order, counters.duplicate) == (0, 0, 0)
-
-
-def test_recording_of_another_camera_is_counted_not_solved(recording, eventually):
-    stream = open_stream(f"replay:{recording}?speed=50", load_sensor("pico_flexx_75mm"))
-    with stream:
-        eventually(lambda: stream.status().state == "ended")
-        assert stream.take() is None
-        assert stream.counters.wrong_size == 10
-
-
-@pytest.mark.parametrize("rows", [True, False])
-def test_point_clouds_are_recorded_and_read_again(tmp_path, rows):
-    camera = Intrinsics(WIDTH, HEIGHT, 60.0, 61.0, 31.5, 23.5)  # as wire.camera_info has it
-    truths, messages = [], []
-    for k in range(3):
-        truth = np.full((HEIGHT, WIDTH), 0.1 + 0.01 * k, np.float32)
-        truths.append(truth)
-        rays = np.concatenate([camera.slopes(), np.ones((HEIGHT, WIDTH, 1))], axis=-1)
-        stamp = NOW + k * PERIOD
-        height, width = (HEIGHT, WIDTH) if rows else (1, HEIGHT * WIDTH)
-        points = cloud(stamp, rays * truth[..., None], height, width)
-        messages.append(arrived("/tof/points", CLOUD, points, stamp))
-        messages.append(arrived("/tof/camera_info", INFO, camera_info(stamp), stamp))
-    with Recording(recorded(tmp_path / "rec.mcap", messages)) as recording:
-        assert (recording.size, recording.encoding) == ((WIDTH, HEIGHT), "points")
-        assert recording.intrinsics is not None
-        for k, truth in enumerate(truths):
-            np.testing.assert_array_equal(recording[k].depth_m, truth)
 
 
 # -- two fingers --------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
 from bubbleviz.recordings import Message
+from tests.recordings.bagmaker import BagMaker
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HEIGHT, WIDTH = 48, 64
@@ -24,27 +25,25 @@ COMPRESSED = "sensor_msgs/msg/CompressedImage"
 
 
 def header(stamp):
-    time = STORE.types["builtin_interfaces/msg/Time"](*divmod(stamp, SECOND))
-    return STORE.types["std_msgs/msg/Header"](time, "camera")
+    return BagMaker("mcap file").header(stamp)
 
 
 def cdr(message, kind):
     return bytes(STORE.serialize_cdr(message, kind))
 
 
-def image(stamp, k=0, height=HEIGHT, width=WIDTH, **changes):
-    """A 16UC1 image all of whose pixels are 100 + k mm."""
+def sent(make, *given, **changes):
+    """Payload of the message that a method of `BagMaker` makes."""
+    bag = BagMaker("mcap file")
+    make(bag, *given, **changes)
+    ((_, kind, _, message),) = bag.rows
+    return bag.payload(kind, message)
+
+
+def image(stamp, k=0, height=HEIGHT, width=WIDTH, encoding="16UC1", **changes):
+    """An image all of whose pixels are 100 + k mm, unless others are given."""
     pixels = np.full((height, width), 100 + k % 60_000, dtype="<u2")
-    fields = {
-        "header": header(stamp),
-        "height": height,
-        "width": width,
-        "encoding": "16UC1",
-        "is_bigendian": 0,
-        "step": 2 * width,
-        "data": pixels.view(np.uint8).ravel(),
-    }
-    return cdr(STORE.types[IMAGE](**{**fields, **changes}), IMAGE)
+    return sent(BagMaker.image, stamp, pixels, encoding, **changes)
 
 
 def number_of(payload):
@@ -58,31 +57,16 @@ def number_shown(frame):
 
 
 def camera_info(stamp, width=WIDTH, height=HEIGHT):
-    region = STORE.types["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
-    message = STORE.types[INFO](
-        header=header(stamp),
-        height=height,
-        width=width,
-        distortion_model="plumb_bob",
-        d=np.zeros(5),
-        k=np.array([60.0, 0, 31.5, 0, 61.0, 23.5, 0, 0, 1]),
-        r=np.eye(3).ravel(),
-        p=np.zeros(12),
-        binning_x=0,
-        binning_y=0,
-        roi=region,
-    )
-    return cdr(message, INFO)
+    matrix = np.array([60.0, 0, 31.5, 0, 61.0, 23.5, 0, 0, 1])
+    return sent(BagMaker.camera_info, stamp, k=matrix, width=width, height=height)
 
 
 def pressure(stamp, value):
-    return cdr(STORE.types[PRESSURE](header(stamp), value, 0.0), PRESSURE)
+    return sent(BagMaker.pressure, stamp, value)
 
 
 def wrench(stamp, values):
-    vector = STORE.types["geometry_msgs/msg/Vector3"]
-    body = STORE.types["geometry_msgs/msg/Wrench"](vector(*values[:3]), vector(*values[3:]))
-    return cdr(STORE.types[WRENCH](header(stamp), body), WRENCH)
+    return sent(BagMaker.wrench, stamp, values)
 
 
 def cloud(stamp, points, height, width):

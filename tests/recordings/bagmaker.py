@@ -94,6 +94,11 @@ class BagMaker:
     def add(self, topic, kind, log, **fields):
         self.rows.append((topic, kind, log, self.store.types[kind](**fields)))
 
+    def payload(self, kind, message):
+        """A message as sent; what are bytes already stays."""
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        return message if isinstance(message, bytes) else bytes(serialize(message, kind))
+
     def write(self, folder, name="rec"):
         path = folder / (f"{name}.bag" if self.ros1 else name)
         with self._writer(path) as writer:
@@ -101,13 +106,7 @@ class BagMaker:
             for topic, kind, log, message in self.rows:
                 if topic not in connections:
                     connections[topic] = writer.add_connection(topic, kind, typestore=self.store)
-                if isinstance(message, bytes):
-                    payload = message
-                elif self.ros1:
-                    payload = self.store.serialize_ros1(message, kind)
-                else:
-                    payload = self.store.serialize_cdr(message, kind)
-                writer.write(connections[topic], log, payload)
+                writer.write(connections[topic], log, self.payload(kind, message))
         if self.kind.endswith("file"):
             (inner,) = path.glob(f"{name}.*")
             return inner.rename(folder / inner.name)
