@@ -2,7 +2,9 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.metadata import EntryPoints
+from pathlib import Path
 from types import SimpleNamespace
 
 import click
@@ -17,6 +19,7 @@ from bubbleviz.live import LiveSession
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.window_session import Startup
 from tests.program import facts_of, output_of, refusal, run
 
@@ -162,14 +165,6 @@ def windows(monkeypatch):
     return asked
 
 
-def test_without_a_command_the_window_opens_with_the_synthetic_sensor(windows):
-    output_of()
-    output_of("--fresh")
-    sensor = load_sensor("pico_flexx_75mm")
-    assert [each.startup for each in windows] == 2 * [Startup(sensor)]
-    assert [each.fresh for each in windows] == [False, True]
-
-
 def test_exit_code_of_the_window_is_that_of_the_command(windows, monkeypatch, pico_recording):
     monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
     assert run().exit_code == run("open", pico_recording).exit_code == 3
@@ -195,40 +190,29 @@ def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
     assert "session file" in refusal("open", "--session", "dual_nut", *delay)
 
 
-def test_open_selects_and_reports_the_matching_preset(windows, pico_recording):
-    assert "pico_flexx_75mm" in output_of("open", pico_recording)
-    output_of("--fresh", "open", pico_recording)
-    startup = Startup(load_sensor("pico_flexx_75mm"), pico_recording)
-    assert [each.startup for each in windows] == 2 * [startup]
-    assert [each.fresh for each in windows] == [False, True]
-
-
-def test_open_at_a_frame_and_screenshot(windows, pico_recording, tmp_path):
-    words = ["open", pico_recording, "--sensor", "pico_flexx_75mm", "--frame", 7]
-    output_of(*words)
-    out = tmp_path / "out.png"
-    assert output_of(*words, "--screenshot", out) == f"wrote {out}\n"
-    startup = Startup(load_sensor("pico_flexx_75mm"), pico_recording, 7)
-    assert [each.startup for each in windows] == 2 * [startup]
-    assert [(each.name, each.out) for each in windows] == [("window", None), ("screenshot", out)]
-
-
-def test_open_passes_scene_and_ground_truth_to_window_and_screenshot(
-    windows, pico_recording, tmp_path
-):
-    from bubbleviz_ui.model.scene_presets import load_scene
-
-    truth = tmp_path / "truth.npz"
-    for option, given, taken in (
-        ("--scene", "cloud", load_scene("cloud")),
-        ("--truth", str(truth), truth),
-    ):
-        words = ["open", pico_recording, option, given]
-        output_of(*words)
-        output_of(*words, "--screenshot", tmp_path / "out.png")
-        chosen = [getattr(each.startup, option.removeprefix("--")) for each in windows]
-        assert chosen == 2 * [taken]
-        windows.clear()
+@pytest.mark.parametrize(
+    ("words", "changes"),
+    [
+        ((), {}),
+        (("open", "REC"), {}),
+        (("open", "REC", "--sensor", "pico_flexx_75mm", "--frame", 7), {"frame": 7}),
+        (("open", "REC", "--scene", "cloud"), {"scene": load_scene("cloud")}),
+        (("open", "REC", "--truth", "truth.npz"), {"truth": Path("truth.npz")}),
+    ],
+)
+def test_window_and_screenshot_start_as_told(windows, pico_recording, tmp_path, words, changes):
+    """With the matching preset, which is named, or the synthetic sensor."""
+    words, out = [pico_recording if word == "REC" else word for word in words], tmp_path / "a.png"
+    recording = pico_recording if words else None
+    told = output_of(*words) + output_of("--fresh", *words)
+    assert ("pico_flexx_75mm" in told) == (bool(words) and "--sensor" not in words)
+    startup = Startup(load_sensor("pico_flexx_75mm"), recording, **changes)
+    expected = [("window", startup, None, False), ("window", startup, None, True)]
+    if words:
+        assert output_of(*words, "--screenshot", out).endswith(f"wrote {out}\n")
+        pictured = replace(startup, frame=startup.frame or 0)
+        expected.append(("screenshot", pictured, out, False))
+    assert [(each.name, each.startup, each.out, each.fresh) for each in windows] == expected
 
 
 def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recording, tmp_path):

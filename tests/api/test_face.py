@@ -344,17 +344,6 @@ def test_the_real_press_is_saved_and_loaded(punyo_press, tmp_path):
     assert got[-1].contact_pressure_pa.max() > 1000.0 and got[-1].pixel_mask.any()
 
 
-def test_simulated_frames_are_estimated_and_saved(sensor, tmp_path):
-    pose = parse_pose("0.005 0 0.042 0 0 0 1")
-    press = bv.simulate(sensor, "cylinder", pose, frames=2, noise_relative=0.002)
-    true, found = press.truth(1).force_n, bv.estimate(press, sensor)[1].force_n
-    assert np.linalg.norm(found - true) < 0.1 * np.linalg.norm(true)
-    press.save(tmp_path / "sim.mcap", tmp_path / "truth.npz")
-    np.testing.assert_array_equal(bv.open(tmp_path / "sim.mcap")[1].depth_m, press[1].depth_m)
-    with np.load(tmp_path / "truth.npz") as file:
-        np.testing.assert_array_equal(file["force_n"][1], true)
-
-
 def test_object_is_registered_and_tracked(frames, sensor, tmp_path):
     init = "0.005 0 0.044 0 0 0 1"
     run = bv.track(frames, "cylinder", sensor, init=init)
@@ -381,14 +370,6 @@ def test_a_sensor_is_identified_and_saved(sensor, tmp_path):
     assert found.tension_n_per_m == pytest.approx(0.5 * found.gauge_pressure_pa * radius, rel=0.01)
     found.save(tmp_path / "mine.toml")
     assert set(bv.estimate(rest[:2], tmp_path / "mine.toml").status) == {"no_contact"}
-
-
-def test_a_stream_gives_results_until_it_ends(press, sensor):
-    with bv.connect(f"replay:{press}?speed=0.2", sensor) as stream:
-        found = list(bv.estimate(stream, zero_gas=False))
-        assert stream.counters.frames == len(HEIGHTS)
-    assert {each.status for each in found} <= {"ok", "no_contact"}
-    assert max(float(np.linalg.norm(each.force_n)) for each in found) > 1.0
 
 
 def test_frames_and_poses_of_a_stream(press, sensor, tmp_path):

@@ -8,24 +8,14 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import bubbleviz as bv
-from bubbleviz.api.simulating import Simulation
-from bubbleviz.camera import Intrinsics
+from bubbleviz.camera import DepthCamera, Intrinsics
 from bubbleviz.recordings import Recording
 from tests.colour.colour_bag import add_colour, add_compressed, add_pose, encoded, picture
-from tests.program import run
+from tests.program import facts_of, output_of, refusal
 from tests.recordings.bagmaker import PERIOD, START, BagMaker, fill
 from tests.recordings.realsense_bag import CLOCK_MS, PERIOD_MS, depth_units, write_realsense_bag
-from tests.small_press import HEIGHTS, small_source
 
 CAMERA = {"width": 32, "height": 24, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
-
-
-def converted(*arguments):
-    """Output of the command, or its error message of one line."""
-    done = run("convert", *arguments)
-    assert done.exit_code in (0, 2), done.output
-    assert done.exit_code == 0 or done.stderr.count("\n") == 1
-    return done.stdout if done.exit_code == 0 else done.stderr
 
 
 def depths(count=3):
@@ -56,7 +46,7 @@ def test_folder_of_images_with_other_measurements(kind, tmp_path):
     (tmp_path / "wrench.csv").write_text("0,1,2,3,4,5,6\n0.2,3,2,3,4,5,6\n")
     out = tmp_path / "out.mcap"
     beside = ("--pressure", tmp_path / "gas.csv", "--wrench", tmp_path / "wrench.csv")
-    converted(images, out, "--rate", 10, *beside)
+    output_of("convert", images, out, "--rate", 10, *beside)
     with Recording(out) as recording:
         assert recording.times_s == pytest.approx([0.0, 0.1, 0.2], abs=1e-6)
         assert recording.intrinsics.fy == CAMERA["fy"]
@@ -81,7 +71,7 @@ def test_a_folder_of_points(ordered, tmp_path):
             points = rng.permutation(points[depth > 0.0])
         np.save(images / f"{number}.npy", points)
     out = tmp_path / "out.mcap"
-    converted(images, out, "--rate", 10)
+    output_of("convert", images, out, "--rate", 10)
     with Recording(out) as recording:
         for frame, depth in zip(recording, depths(), strict=True):
             expected = np.where(depth > 0.0, depth, np.nan)
@@ -91,7 +81,7 @@ def test_a_folder_of_points(ordered, tmp_path):
 def test_file_names_that_are_times(tmp_path):
     names = [f"depth_{1_700_000_000_000_000_000 + k * 33_000_000}" for k in range(3)]
     out = tmp_path / "out.mcap"
-    converted(folder_of(tmp_path / "images", ".png", names), out)
+    output_of("convert", folder_of(tmp_path / "images", ".png", names), out)
     with Recording(out) as recording:
         assert recording.times_s == pytest.approx([0.0, 0.033, 0.066], abs=1e-6)
 
@@ -100,7 +90,7 @@ def test_file_names_that_are_times(tmp_path):
 def test_other_bag_formats_give_the_same_recording(kind, tmp_path):
     path = fill(BagMaker(kind)).write(tmp_path)
     out = tmp_path / "out.mcap"
-    found = json.loads(converted(path, out, "--json"))
+    found = facts_of("convert", path, out)
     assert found["path"] == str(out) and found["frames"] == 6
     assert found["gas_pressure_pa"] and found["wrench"]
     with Recording(path) as before, Recording(out) as after:
@@ -120,7 +110,7 @@ def test_a_bag_of_the_realsense_viewer(unit_m, option, tmp_path):
     """In any depth unit; infrared images of 16 bits are not taken for depth."""
     out = tmp_path / "out.mcap"
     write_realsense_bag(tmp_path / "camera.bag", unit_m, option)
-    told = converted(tmp_path / "camera.bag", out)
+    told = output_of("convert", tmp_path / "camera.bag", out)
     assert "4 in 0.1" in told and "32 × 24 pixels" in told and "fx 30.00" in told
     with Recording(out) as recording:
         assert recording.times_s == pytest.approx(1e-3 * PERIOD_MS * np.arange(4), abs=1e-6)
@@ -149,7 +139,7 @@ def test_colour_is_copied_unchanged(kind, tmp_path):
         else:
             add_colour(bag, stamp, k, header=header)
     path, out = bag.write(tmp_path), tmp_path / "out.mcap"
-    converted(path, out)
+    output_of("convert", path, out)
     with Recording(path) as before, Recording(out) as after:
         for k in range(6):
             old, new = before[k].colour, after[k].colour
@@ -175,7 +165,7 @@ def test_colour_images_in_a_folder_are_matched_by_number(told, tmp_path):
     if told:
         (images / "rgb" / "intrinsics.json").write_text(json.dumps({**CAMERA, "fx": 45.0}))
     out = tmp_path / "out.mcap"
-    converted(images, out, "--rate", 30)
+    output_of("convert", images, out, "--rate", 30)
     with Recording(out) as recording:
         camera, found = recording.colour.camera, [frame.colour for frame in recording]
     assert found[1] is None and camera.intrinsics is not None
@@ -199,7 +189,7 @@ def test_colour_images_that_do_not_fit_are_refused(names, says, tmp_path):
     (images / "color").mkdir()
     for name in names:
         (images / "color" / name).write_bytes(encoded(picture(1), "png"))
-    assert says in converted(images, tmp_path / "out.mcap", "--rate", 30)
+    assert says in refusal("convert", images, tmp_path / "out.mcap", "--rate", 30)
     assert not (tmp_path / "out.mcap").exists()
 
 
@@ -210,39 +200,24 @@ def test_assumed_colour_camera_is_written_to_the_copy(tmp_path):
     header.frame_id = "elsewhere"
     add_colour(bag, START, 0, header=header)
     path, out = bag.write(tmp_path), tmp_path / "out.mcap"
-    converted(path, out)
+    output_of("convert", path, out)
     with Recording(path) as before, Recording(out) as after:
         assert before.colour is not None and after.colour is not None
         assert "assuming the depth camera's pose" in before.colour.camera.remark
         assert after.colour.camera.remark == before.colour.camera.remark
 
 
-def test_intrinsics_of_a_preset(tmp_path):
+@pytest.mark.parametrize("by_file", [False, True])
+def test_intrinsics_of_a_preset_or_a_sensor_file(by_file, tmp_path):
+    given = bv.load_sensor("pico_flexx_75mm")
+    bv.save_sensor(given, tmp_path / "own.toml")
     (tmp_path / "images").mkdir()
     np.save(tmp_path / "images" / "1.npy", np.full((171, 224), 0.15))
-    out, preset = tmp_path / "out.mcap", "pico_flexx_75mm"
-    converted(tmp_path / "images", out, "--rate", 30, "--intrinsics", preset)
-    camera = bv.load_sensor(preset).camera
-    with Recording(out) as recording:
-        found = recording.intrinsics
-    assert (found.fx, found.fy, found.cx, found.cy) == (camera.fx, camera.fy, camera.cx, camera.cy)
-
-
-def test_force_equals_that_of_the_original(sensor, tmp_path):
-    Simulation(small_source(sensor, HEIGHTS[1:2])).save(tmp_path / "press.mcap")
-    (tmp_path / "images").mkdir()
-    with Recording(tmp_path / "press.mcap") as recording:
-        np.save(tmp_path / "images" / "1.npy", recording[0].depth_m)
-        (tmp_path / "gas.csv").write_text(f"0,{recording[0].gas_pressure_pa}\n")
-    beside = ("--rate", 30, "--intrinsics", sensor, "--pressure", tmp_path / "gas.csv")
-    converted(tmp_path / "images", tmp_path / "out.mcap", *beside)
-    found = []
-    for name in ("press", "out"):
-        with bv.open(tmp_path / f"{name}.mcap") as frames:
-            found.append(bv.estimate(frames, sensor).force_n)
-    before, after = found
-    assert np.linalg.norm(before) > 0.5
-    np.testing.assert_allclose(after, before, rtol=1e-6)
+    own = tmp_path / "own.toml" if by_file else "pico_flexx_75mm"
+    words = ("convert", tmp_path / "images", tmp_path / "out.mcap", "--rate", 30)
+    output_of(*words, "--intrinsics", own)
+    with Recording(tmp_path / "out.mcap") as recording:
+        assert recording.intrinsics == DepthCamera.of(given.camera).intrinsics
 
 
 @pytest.mark.parametrize(
@@ -265,7 +240,7 @@ def test_invalid_input_gives_one_sentence(spoil, words, tmp_path):
     images = folder_of(tmp_path / "images", ".npy", ["1", "2", "3"])
     spoil(images)
     rate = () if "time" in words else ("--rate", 30)
-    assert words in converted(images, tmp_path / "out.mcap", *rate)
+    assert words in refusal("convert", images, tmp_path / "out.mcap", *rate)
     assert not (tmp_path / "out.mcap").exists()
     assert not list(tmp_path.glob(".out*"))
 
@@ -275,5 +250,5 @@ def test_measurements_by_another_clock_are_refused(tmp_path):
     images = folder_of(tmp_path / "images", ".npy", ["1", "2", "3"])
     (tmp_path / "gas.csv").write_text("1700000000,100000\n1700000001,100100\n")
     beside = ("--rate", 30, "--pressure", tmp_path / "gas.csv")
-    told = converted(images, tmp_path / "out.mcap", *beside)
+    told = refusal("convert", images, tmp_path / "out.mcap", *beside)
     assert "none of the gas pressures has the time of an image" in told

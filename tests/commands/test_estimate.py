@@ -151,17 +151,6 @@ def test_json_times_exclude_the_first_frame(folder, result):
     assert np.all(result["solve_ms"] <= result["total_ms"])
 
 
-def test_kappa_changes_only_the_patch(folder, tmp_path, result):
-    words = ("estimate", folder / "rec.mcap", "--sensor", PRESET, "--out")
-    output_of(*words, tmp_path / "low.npz", "--kappa", "1")
-    output_of(*words, tmp_path / "high.npz", "--kappa", "20")
-    low, high = arrays(tmp_path / "low.npz"), arrays(tmp_path / "high.npz")
-    assert np.all(low["patch_area_m2"][1:] > high["patch_area_m2"][1:])
-    np.testing.assert_array_equal(low["force_n"], high["force_n"])
-    np.testing.assert_array_equal(low["force_n"], result["force_n"])
-    np.testing.assert_allclose(high["threshold_pa"][2] / low["threshold_pa"][2], 20.0)
-
-
 def copied(source, path, change):
     """Copy of a recording in which frames in `change` have a constant depth (NaN: no returns)."""
     with Recording(source) as old, RecordingWriter(path) as new:
