@@ -7,7 +7,7 @@ friction, which the estimator does not model.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -15,12 +15,18 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.camera import FlowField
-from bubbleviz.membrane import Gas, MembraneMesh, build_mesh, build_rubber
+from bubbleviz.membrane import MembraneMesh, build_mesh
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise
+from bubbleviz.simulation import (
+    DepthNoise,
+    SyntheticSource,
+    press_path,
+    study_object,
+    touching_height,
+)
 from bubbleviz.study.accuracy import at_nodes
 from bubbleviz.study.harness import (
     Case,
@@ -33,7 +39,6 @@ from bubbleviz.study.harness import (
     at_most,
     over,
 )
-from tests.oracles.dragged_press import DraggedPress, DraggedTruth, dragged_truths
 from tests.oracles.flow_sighting import sighting
 from tests.oracles.stuck_press import OFFSET_M, Motion, ShearTruth, pressed, shear_sensor
 
@@ -128,8 +133,8 @@ def shear_study(grid: ShearGrid) -> Study:
     return Study("shear", ShearTrial, cases, report_of)
 
 
-def _all_noises(grid: ShearGrid, make: Callable[[], list[_Moved]]) -> list[ShearTrial]:
-    frames = make()
+def _all_noises(grid: ShearGrid, make: Callable[[], Iterable[_Moved]]) -> list[ShearTrial]:
+    frames = list(make())
     return [t for sigma in grid.flow_sigmas_px for t in _trials(frames, sigma, grid)]
 
 
@@ -140,6 +145,7 @@ class _Moved(NamedTuple):
     motion: Motion | None
     truth: ShearTruth
     friction: float = np.nan
+    slipped: float = 0.0  # share of the contact that has slipped since it began; NaN without one
 
 
 def _sticking(grid: ShearGrid, name: str, depth_m: float, k: int) -> list[_Moved]:
@@ -149,25 +155,34 @@ def _sticking(grid: ShearGrid, name: str, depth_m: float, k: int) -> list[_Moved
     return [_Moved(name, motion, truth) for motion, truth in zip(path, truths, strict=True)]
 
 
-def _sliding(grid: ShearGrid, name: str, depth_m: float, k: int) -> list[_Moved]:
+def _sliding(grid: ShearGrid, name: str, depth_m: float, k: int) -> Iterator[_Moved]:
     """Frames of a drag, or a twist, of an object with Coulomb's friction."""
-    sensor, friction = shear_sensor(), grid.frictions[k // 2]
-    mesh, known = build_mesh(sensor, grid.truth_nodes // 2), SensorModel.of(sensor)
-    rubber_on = partial(build_rubber, sensor, tension_n_per_m=known.tension_n_per_m)
-    gas_on = partial(Gas.of, sensor.pneumatics)
+    sensor, friction, nodes = shear_sensor(), grid.frictions[k // 2], grid.truth_nodes // 2
     drag_m, twist_rad = (0.0, grid.twists_rad[-1]) if k % 2 else (grid.drags_m[-1], 0.0)
-    dragged = DraggedPress(name, depth_m, drag_m, twist_rad, friction, OFFSET_M)
-    truths = list(dragged_truths(rubber_on, gas_on, mesh, dragged, grid.frames, 0))
-    return [_Moved(name, _motion(truth, truths[-1]), truth, friction) for truth in truths]
+    obj, mesh, aim = study_object(name), build_mesh(sensor, nodes), np.eye(4)
+    aim[:2, 3] = OFFSET_M
+    aim[2, 3] = touching_height(obj, aim, mesh) - depth_m
+    poses = press_path(obj, aim, mesh, grid.frames, drag_m, twist_rad)
+    source = SyntheticSource(sensor, obj, poses, nodes=nodes, friction=friction)
+    slipped_m = np.zeros(len(mesh.nodes))
+    for index, pose in enumerate(poses):
+        contact, slip_m = source.contact(index), np.asarray(source.truth(index).slip_m)
+        moved_m, touching = contact.displacement_3d_m, contact.contact_pressure_pa > 0.0
+        slipped_m = np.where(touching, slipped_m + slip_m, 0.0)
+        now = replace(mesh, nodes=mesh.deformed(moved_m))
+        area = float(now.areas[touching].sum()) or np.nan
+        slipped = float(now.areas[slipped_m > _SLIPPED_M].sum()) / area
+        truth = ShearTruth(mesh, moved_m, contact.nodal_force_n, now.normals)
+        yield _Moved(name, _motion(pose, poses[-1]), truth, friction, slipped)
 
 
-def _motion(truth: DraggedTruth, last: DraggedTruth) -> Motion | None:
+def _motion(pose: np.ndarray, last: np.ndarray) -> Motion | None:
     """Motion of the object since it was pressed in."""
-    if truth.T_B_O[2, 3] > last.T_B_O[2, 3]:
+    if pose[2, 3] > last[2, 3]:
         return None
-    drag = truth.T_B_O[:3, 3] - last.T_B_O[:3, 3]
-    drag[:2] = truth.T_B_O[:2, 3] - OFFSET_M
-    return Motion(drag, float(np.arctan2(truth.T_B_O[1, 0], truth.T_B_O[0, 0])))
+    drag = pose[:3, 3] - last[:3, 3]
+    drag[:2] = pose[:2, 3] - OFFSET_M
+    return Motion(drag, float(np.arctan2(pose[1, 0], pose[0, 0])))
 
 
 def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[ShearTrial]:
@@ -178,7 +193,7 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
     both.use_optical_flow(lambda frame: flows[frame.index])
     for pipeline, products in ((both, _SHEAR), (alone, _DEPTH)):
         pipeline.prepare(products)
-    for k, (name, motion, truth, friction) in enumerate(frames):
+    for k, (name, motion, truth, friction, slipped) in enumerate(frames):
         seen = sighting(model.camera, truth, DEPTH_NOISE, sigma_px, grid.seed + k)
         flows.append(seen.flow)
         frame = Frame(k, k / 30.0, seen.depth_m)
@@ -189,7 +204,7 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
         depth_ms, whole_ms = 1e3 * (between - begun), 1e3 * (time.process_time() - between)
         if motion is None:
             continue
-        trial = judged(result, by_depth, truth, model.mesh)
+        trial = judged(result, by_depth, truth, model.mesh, slipped)
         yield replace(
             trial,
             object_name=name,
@@ -203,7 +218,9 @@ def _trials(frames: list[_Moved], sigma_px: float, grid: ShearGrid) -> Iterator[
         )
 
 
-def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMesh) -> ShearTrial:
+def judged(
+    result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMesh, slipped: float
+) -> ShearTrial:
     """Errors of a frame's traction and slip, and by depth alone; the caller fills the others."""
     (before, _), (estimate, patch) = by_depth.solution, result.solution
     alone, force, sigma = before.force_n, estimate.force_n, estimate.force_sigma_n
@@ -216,9 +233,7 @@ def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMe
     center_alone = np.full(3, np.nan) if seen is None else seen.center_of_pressure_m
     twisted = truth.torque_nm(center)[2]
     found = (patch.torque_nm + np.cross(patch.center_of_pressure_m - center, force))[2]
-    slip, true_slip = result.slip, 0.0
-    if slip is not None and isinstance(truth, DraggedTruth):
-        true_slip = truth.slip_share(_SLIPPED_M)
+    slip = result.slip
     return ShearTrial(
         depth_status=before.status,
         status=result.traction.status,
@@ -231,7 +246,7 @@ def judged(result: Result, by_depth: Result, truth: ShearTruth, mesh: MembraneMe
         center_error_m=float(np.linalg.norm(patch.center_of_pressure_m - center)),
         sigmas=float(np.linalg.norm(difference) / np.linalg.norm(sigma)),
         slip=np.nan if slip is None else slip.share,
-        true_slip=np.nan if slip is None else true_slip,
+        true_slip=np.nan if slip is None else slipped,
     )
 
 
