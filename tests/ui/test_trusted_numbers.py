@@ -127,36 +127,6 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     assert wrench()[1] == f"{expected:.2f}"
 
 
-def test_during_playback_every_number_drawn_is_of_one_frame(drive):
-    """Looked at whenever the view is drawn."""
-    driver = drive(frame=CONTACT - 12)
-    window, state, drawn = driver.window, driver.state, []
-    driver.show("plots")
-    driver.choose(plots=frozenset({"force", "area"}), loop=True, speed=0.5)
-    state.set_range((CONTACT - 12, CONTACT))  # with contact; a slow machine plays it again
-    driver.wait(lambda: set(window.plots.plots) >= {"force", "area"})
-
-    def look():
-        """Frame by two widgets, and force by three and by the view."""
-        frames = [
-            text.text().replace("·", " ").split()[1]
-            for text in (window.playback.readout, window.status.labels["frame"])
-        ]
-        (headline,) = (text for text in view_texts(driver) if text.startswith("contact  "))
-        number = r"[\d.]+"
-        texts = window.status.labels["force"].text(), window.kappa.force.text(), headline
-        forces = [re.search(number, text).group() for text in (*texts, heading(driver))]
-        drawn.append((frames, forces))
-
-    window.view.rendering.connect(look)
-    driver.click(window.playback.buttons["Play / pause"])
-    driver.wait(lambda: len({force for _, (force, *_) in drawn}) > 8)
-    window.view.rendering.disconnect(look)
-    state.set_playing(False)
-    for frames, forces in drawn:
-        assert len(set(frames)) == 1 and len(set(forces)) == 1, (frames, forces)
-
-
 def test_mean_image_gas_zero_and_contradicted_sensor_file_of_a_recording_are_reported(
     drive, sensor, tmp_path
 ):

@@ -23,6 +23,7 @@ class Paints(QObject):
         self.forces = lambda: (
             self.headline,
             status["force"].text(),
+            window.kappa.force.text(),
             re.sub("<.*?>", "", window.plots.plots["force"].text),
         )
         self.frames = lambda: (status["frame"].text(), readout.text())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QPoint, Qt
+from PySide6.QtGui import QPainter
 from PySide6.QtWidgets import QInputDialog
 from window_driver import CTRL, LEFT, SHIFT, painted
 
@@ -302,6 +303,19 @@ def test_timeline_of_36000_frames_is_fast(qtbot):
     seen = np.all(painted(timeline) == rgb(theme.CONTACT), axis=2)[RULER + 3]
     assert 1 <= seen.sum() <= 2 and abs(np.flatnonzero(seen)[0] - timeline.x_at(18_000)) < 2
     assert timeline.frame_at(timeline.x_at(20_000)) == pytest.approx(20_000, abs=1)
+
+
+@pytest.mark.timeout(60)
+def test_absurd_duration_is_drawn_with_a_few_time_labels(qtbot, monkeypatch):
+    """Of a stamp of the far future."""
+    state, drawn = SessionState(), []
+    state.open(SourceFacts("broken stamps", "dome", np.array([0.0, 0.1, 6e10])), playing=False)
+    timeline = Timeline(state)
+    timeline.resize(900, timeline.height())
+
+    monkeypatch.setattr(QPainter, "drawText", lambda painter, place, text: drawn.append(text))
+    timeline.grab()
+    assert 1 < len(drawn) < 20
 
 
 def test_one_contact_frame_is_never_lost_among_thousands():
