@@ -6,7 +6,6 @@ from hypothesis import given, settings, strategies as st
 
 from bubbleviz.membrane import (
     EllipsoidalCap,
-    MembraneMesh,
     build_mesh,
     mesh_cap,
     refinement,
@@ -85,17 +84,6 @@ def test_build_mesh_follows_the_sensor_file():
     assert build_mesh(sensor) is mesh  # made once for all recordings of a sensor
 
 
-def test_refined_mesh_keeps_area_volume_and_rim():
-    mesh = mesh_cap(CAPS["oval"], 200)
-    fine = refinement(mesh).mesh
-    assert isinstance(fine, MembraneMesh)
-    assert len(fine.triangles) == 4 * len(mesh.triangles)
-    assert fine.facet_areas.sum() == pytest.approx(mesh.facet_areas.sum(), rel=1e-12)
-    assert fine.cap_volume() == pytest.approx(mesh.cap_volume(), rel=1e-12)
-    assert fine.rim.sum() == 2 * mesh.rim.sum()
-    assert np.abs(fine.nodes[fine.rim, 2]).max() == 0.0
-
-
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), share=st.floats(0.0, 0.6))
 def test_local_refinement_keeps_the_surface_connected(seed, share):
@@ -105,6 +93,9 @@ def test_local_refinement_keeps_the_surface_connected(seed, share):
     assert np.allclose(fine.facet_areas.sum(), mesh.facet_areas.sum(), rtol=1e-12)
     assert np.allclose(fine.cap_volume(), mesh.cap_volume(), rtol=1e-12)
     assert len(fine.triangles) >= len(mesh.triangles) + 3 * chosen.sum()
+    assert np.abs(fine.nodes[fine.rim, 2]).max() == 0.0
+    whole = refinement(mesh).mesh
+    assert len(whole.triangles) == 4 * len(mesh.triangles) and whole.rim.sum() == 2 * mesh.rim.sum()
     across = triangles_across(fine.triangles)
     sides = np.stack([np.roll(fine.triangles, -1, axis=1), np.roll(fine.triangles, -2, axis=1)], -1)
     assert fine.rim[sides[across < 0]].all()  # no hanging node: every open side is on the rim

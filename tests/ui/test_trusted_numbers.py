@@ -8,7 +8,7 @@ import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QColor
-from window_driver import CONTACT, LEFT, graphics_view, view_texts
+from window_driver import LEFT, graphics_view, view_texts
 
 from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
