@@ -15,6 +15,7 @@ from trimesh.viewer.notebook import scene_to_html
 import bubbleviz as bv
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
+from bubbleviz.inverse import mean_pressure
 from bubbleviz.processes import check_cluster
 from bubbleviz.recordings import Recording
 from bubbleviz.rigid_object import load_object
@@ -217,6 +218,8 @@ def test_numbers_equal_those_of_the_command(press, sensor, tmp_path):
     run = bv.estimate(bv.open(press)[1:4], sensor, kappa=2.0)
     with np.load(out) as file:
         written = {key: file[key] for key in file.files}
+    mean_pa = mean_pressure(run.model.mesh, run[1].contact_pressure_pa)
+    assert written["threshold_pa"][1] == pytest.approx(2.0 * mean_pa)
     masks = written.pop("patch_mask")
     arrays = run.arrays()
     assert set(written) - set(arrays) == {"sensor_toml", "version", "solver"}
