@@ -272,15 +272,10 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
         assert info(out).frames > 0
         monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 2.0)
         auto, named = ("--sensor", "auto"), ("--sensor", "pico_flexx_75mm")
-        for options, why in (
-            (f"login={tls.login}", "refused: the certificate of localhost is not signed by"),
-            (f"ca={tls.ca}", "if it requires user and password"),
-            (f"ca={tls.ca}&login={tls.stranger}", "and user and password in login="),
-        ):
-            refused = f"zenoh:{endpoint}?{options}"
-            more = ("--out", tmp_path / "no.mcap", "--duration", 0.1)
-            for words in (("record", *more), ("watch", *auto), ("watch", *named)):
-                assert why in refusal(*words, "--source", refused)
+        refused = f"zenoh:{endpoint}?ca={tls.ca}&login={tls.stranger}"
+        more = ("--out", tmp_path / "no.mcap", "--duration", 0.1)
+        for words in (("record", *more), ("watch", *auto), ("watch", *named)):
+            assert "and user and password in login=" in refusal(*words, "--source", refused)
         more = ("--connect", endpoint, "--ca", tls.ca, "--duration", 0.1)
         said = refusal("publish", "--source", "synthetic:", *more)
         assert "if it requires user and password" in said

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import zenoh
 from robot import KEYS, TOKENS, attachment, open_session
 from streams import messages_in, robot
 from wire import HEIGHT, IMAGE, WIDTH, compressed_depth, image, number_of, number_shown
@@ -381,27 +380,6 @@ def test_a_reconnected_camera_of_another_size_is_reported(small_sensor, eventual
 
 def listener(endpoint, credentials):
     return zenoh_session.open_session(SessionOptions("robot", None, endpoint, credentials))
-
-
-def test_key_expressions_match_those_of_rmw_zenoh():
-    """Ours against those spelled out in robot.py."""
-    for layout in ("rmw", "dds"):
-        kinds = {}
-        for key in TOKENS[layout]:
-            announced = zenoh_keys.parse_token(key, 0)
-            if announced is not None:
-                kinds[announced.topic] = announced.type
-        assert sorted(kinds) == ["/cam/camera_info", "/cam/depth", "/gas"]
-        for topic, kind in kinds.items():
-            subscribed = zenoh_keys.subscription(topic, layout, 0)
-            assert zenoh.KeyExpr(subscribed).includes(KEYS[layout][topic])
-            if layout == "dds":
-                continue
-            type_hash = KEYS["rmw"]["/gas"].split("/")[-1]
-            assert zenoh_keys.publication(topic, kind, type_hash, 0) == KEYS["rmw"][topic]
-            token = zenoh_keys.announcement(topic, kind, type_hash, 0, "b3f7", 1)
-            assert zenoh_keys.parse_token(token, 0) == (topic, kind, "rmw")
-            assert any(zenoh.KeyExpr(t).intersects(token) for t in zenoh_keys.TOKENS)
 
 
 def test_attachments_of_robots():
