@@ -98,19 +98,6 @@ def test_without_a_library_of_the_window_one_line_says_what_to_install(library):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["info", "nope.mcap"], "nope.mcap: no such recording, or no access"),
-        (["info"], "Missing argument 'REC'; see bubbleviz info --help"),
-        (["info", "--nope", "x"], "--nope"),
-        (["fly"], "No such command 'fly'; see bubbleviz --help"),
-    ],
-)
-def test_wrong_usage_and_bad_input_are_one_line_and_exit_code_2(arguments, words):
-    assert words in refusal(*arguments)
-
-
-@pytest.mark.parametrize(
     ("error", "code", "line"),
     [
         (InputError("a: two\nlines"), 2, "bubbleviz: a: two lines\n"),

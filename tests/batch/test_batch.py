@@ -23,7 +23,7 @@ from bubbleviz.api.batching import (
 )
 from bubbleviz.api.run_summary import statistics
 from bubbleviz.errors import InputError
-from tests.program import COMMAND, facts_of, output_of, python, refusal, rows_of, run, start
+from tests.program import COMMAND, facts_of, output_of, python, rows_of, run, start
 from tests.recordings.bagmaker import START, BagMaker
 
 NAMES = ["a.mcap", "b.v2.mcap", "day 1/c.mcap"]
@@ -309,28 +309,6 @@ def test_recordings_found_in_a_folder(tmp_path):
 def test_single_recording_as_input(recordings):
     (recordings / "metadata.yaml").touch()
     assert find_recordings(recordings) == [recordings]
-
-
-@pytest.mark.parametrize(
-    ("folder", "more", "words"),
-    [
-        ("nope", [], "nope: no such folder"),
-        ("in", ["--sensor", "nope.toml"], "nope.toml: no such sensor file"),
-        ("in", ["--out", "there"], "exists already"),
-        ("in", ["--jobs", "0"], "--jobs"),
-        (
-            "in",
-            ["--jobs", "2", "--scheduler", "tcp://x:1"],
-            "--jobs counts processes on this machine",
-        ),
-    ],
-)
-def test_invalid_arguments(folder, more, words, recordings, sensor, tmp_path):
-    (tmp_path / "there").mkdir()
-    more = [tmp_path / word if word == "there" else word for word in more]
-    given = ("--sensor", sensor, "--out", tmp_path / "out")
-    assert words in refusal("batch", tmp_path / folder, *given, *more)
-    assert not (tmp_path / "out").exists()
 
 
 def test_auto_reports_recordings_that_match_no_preset(recordings, tmp_path):

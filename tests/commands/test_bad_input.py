@@ -350,57 +350,12 @@ def test_an_output_never_replaces_the_pixels_of_the_sensor(bench):
     bench.refused((*COMMANDS["estimate"], "--overwrite"), "would replace")
 
 
-def test_an_empty_path(bench):
-    """As of a variable of the shell that is not set; `Path("")` is the present folder."""
-    record(bench, GOOD)
-    bench.refused((*COMMANDS["estimate"][:-1], ""), "--csv", "the path is empty")
-
-
 @pytest.mark.parametrize("file", ["result.npz", "result.csv"])
 def test_an_existing_output_is_refused_before_any_work(bench, file, monkeypatch):
     record(bench, GOOD)
     (bench.folder / file).write_text("precious")
     monkeypatch.setattr(Recording, "__init__", lambda *_: pytest.fail("opened the recording"))
     bench.refused("estimate", file, "exists already")
-
-
-@pytest.mark.parametrize(
-    ("words", "end"),
-    [
-        ("estimate REC --out result.csv", ".npz"),
-        ("estimate REC --out result.npz --csv table.npz", ".csv"),
-        ("pose REC --object sphere --out poses.npz", ".csv"),
-        ("convert REC other.csv", ".mcap"),
-        ("simulate --object sphere --pose 0,0,0.1,0,0,0,1 --out press.npz", ".mcap"),
-        ("simulate --object sphere --pose 0,0,0.1,0,0,0,1 --out a.mcap --truth b.csv", ".npz"),
-    ],
-)
-def test_an_output_has_no_name_of_another_kind(bench, words, end):
-    record(bench, GOOD)
-    sensor = () if words.startswith("convert") else ("--sensor", "SENSOR")
-    bench.refused((*words.split(), *sensor), f"end its name in {end}")
-
-
-def test_the_same_name_for_both_outputs(bench):
-    record(bench, GOOD)
-    bench.refused((*COMMANDS["estimate"][:-1], "OUT"), "two names")
-
-
-def test_picture_of_another_kind(bench):
-    record(bench, GOOD)
-    words = ("open", "REC", "--sensor", "SENSOR", "--screenshot", bench.folder / "a.jpg")
-    bench.refused(words, "a.jpg", "ends in .png")
-
-
-def test_unknown_scene(bench):
-    record(bench, GOOD)
-    bench.refused((*COMMANDS["screenshot"], "--scene", "nope"), "nope")
-
-
-def test_no_preset_fits(bench):
-    record(bench, GOOD)
-    words = ("open", "REC", "--screenshot", "PNG")
-    bench.refused(words, "32×24", "punyo_oval_d405 (640×480)")
 
 
 def test_damaged_frame_leaves_no_output(bench, monkeypatch):

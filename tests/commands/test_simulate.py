@@ -6,7 +6,7 @@ import pytest
 from bubbleviz.camera import DepthCamera
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from tests.program import output_of, refusal
+from tests.program import output_of
 from tests.small_press import changed
 
 POSE = "0.004 0 0.040 0 0 0 1"
@@ -78,39 +78,3 @@ def test_squares_of_absolute_and_relative_noise_add(sensor_file, tmp_path):
     both = depths(sensor_file, tmp_path / "both", "--noise-sigma", 0.001, "--noise-relative", 0.02)
     wanted = np.sqrt(np.nanmean(0.001**2 + (0.02 * quiet) ** 2))
     assert np.nanstd(both - quiet) == pytest.approx(wanted, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (("--object", "sphere"), "--pose, or --path"),
-        (("--object", "sphere", "--pose", "0 0 40 0 0 0 1"), "millimetres"),
-        (("--object", "sphere", "--pose", "0 0 0.04"), "seven numbers"),
-        (("--object", "sphere", "--pose", "0 0 0.04 0 0 0 2"), "unit length"),
-        (("--object", "nonesuch", "--pose", POSE), "no such object"),
-        (("--object", "sphere", "--path", "missing.csv"), "missing.csv"),
-        (("--object", "sphere", "--pose", POSE, "--holes", 1.5), "holes"),
-        (("--object", "sphere", "--pose", POSE, "--noise-sigma", -1), "absolute_m"),
-        (
-            ("--object", "sphere", "--pose", POSE, "--frames", -2),
-            "--frames -2: give a whole number",
-        ),
-    ],
-)
-def test_bad_input_is_one_line_and_writes_nothing(sensor_file, tmp_path, arguments, words):
-    assert words in refusal(*words_of(sensor_file, tmp_path, *arguments))
-    assert not list(tmp_path.iterdir())
-
-
-def test_bad_line_of_a_path_is_named(sensor_file, tmp_path):
-    poses = tmp_path / "poses.csv"
-    poses.write_text("x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0,0,nan,0,0,0,1\n")
-    words = words_of(sensor_file, tmp_path, "--object", "sphere", "--path", poses)
-    assert "line 3" in refusal(*words)
-    assert not (tmp_path / "out.mcap").exists()
-
-
-def test_the_same_name_for_recording_and_truth(sensor_file, tmp_path):
-    words = ("--object", "sphere", "--pose", POSE, "--truth", tmp_path / "out.mcap")
-    assert "two names" in refusal(*words_of(sensor_file, tmp_path, *words))
-    assert not list(tmp_path.iterdir())

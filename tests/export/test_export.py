@@ -245,30 +245,6 @@ def test_unreadable_frame_leaves_no_files(tmp_path, sensor, press):
     assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
 
 
-@pytest.mark.parametrize(
-    ("out", "more", "words"),
-    [
-        ("there", ["--what", "vtk"], "exists already"),
-        ("x", [], "nothing to export"),
-        ("x", ["--what", "vtk,stl"], '"stl": unknown; choose from table'),
-        ("x.csv", ["--what", "vtk"], "a .csv file holds table, not vtk"),
-        ("x.pvd", [], "a series of files needs a folder"),
-        ("x.mp4", [], "from the window"),
-        ("x.csv", ["--frames", "3:1"], "choose A below B"),
-        ("x.csv", ["--frames", "0:99"], "outside its 5 frames"),
-        ("x.csv", ["--kappa", "nan"], "--kappa nan"),
-        ("x.csv", ["--solver", "magic"], "magic"),
-        ("x.csv", ["--poses", "nope.csv"], "nope.csv"),
-        ("no/x.csv", [], "does not exist"),
-    ],
-)
-def test_invalid_arguments_give_one_line_and_exit_code_2(out, more, words, tmp_path, press, sensor):
-    (tmp_path / "there").mkdir()
-    said = refusal("export", press, "--sensor", sensor, "--out", tmp_path / out, *more)
-    assert words.lower() in said.lower()
-    assert [path.name for path in tmp_path.iterdir()] == ["there"]
-
-
 def test_every_command_reports_a_truncated_recording(press, sensor, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(press.read_bytes()[:-40])

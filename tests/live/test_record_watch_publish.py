@@ -75,19 +75,6 @@ def test_stopping_record_leaves_a_complete_file(tmp_path, small_sensor_file, eve
         assert recording.bag.note == ""
 
 
-@pytest.mark.parametrize(
-    ("source", "says"),
-    [("replay:nowhere", "no such recording"), ("zenoh:nonsense", "no Zenoh session")],
-)
-def test_bad_sources_are_one_line_and_leave_no_file(tmp_path, source, says):
-    for command in ("record", "watch"):
-        out = tmp_path / f"{command}.mcap"
-        more = () if command == "record" else ("--sensor", "pico_flexx_75mm")
-        words = ("--source", source, "--out", out, "--duration", 0.1, *more)
-        assert says in refusal(command, *words)
-        assert not out.exists()
-
-
 def test_images_of_another_camera_are_refused_in_one_line(tmp_path):
     path = tmp_path / "rec.mcap"
     write_plain(path, 8)
@@ -284,16 +271,6 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
         publisher.communicate(timeout=240)
     said = refusal("record", "--source", f"zenoh:{endpoint}?ca=nowhere.pem", "--out", f"{out}2")
     assert "nowhere.pem: no such file" in said
-
-
-def test_publishing_is_refused_in_one_line():
-    common = ("publish", "--source", "synthetic:?frames=4", "--duration", "0.1")
-    for more, says in (
-        (("--listen", "tcp/127.0.0.1:1", "--connect", "tcp/127.0.0.1:2"), "not both"),
-        (("--connect", f"tcp/127.0.0.1:{free_port()}"), "no Zenoh session"),
-        (("--listen", "nonsense"), "no Zenoh session"),
-    ):
-        assert says in refusal(*common, *more)
 
 
 def test_every_image_is_recorded(small_sensor_file, tmp_path, monkeypatch):

@@ -54,21 +54,6 @@ def test_no_light_touch_is_lost_by_colour(tmp_path):
         assert result["status"].tolist() == ["no_contact", "ok"]
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--shear"], "no colour images of this sensor in a known encoding"),
-        (["--friction", "-0.5"], "--friction"),
-        (["--colour-delay", "-0.05"], "--colour-delay needs --shear"),
-        (["--shear", "--colour-delay", "-83"], "-83.0 is not in the range -0.5<=x<=0.5"),
-    ],
-)
-def test_unavailable_options_are_reported(sensor, press, tmp_path, options, said):
-    words = ("estimate", press, "--sensor", sensor, "--out", tmp_path / "r.npz")
-    assert said in refusal(*words, *options)
-    assert not (tmp_path / "r.npz").exists()
-
-
 def jpeg(k, step=1):
     """Colour image of a frame, smaller by a step."""
     return encoded(image(k)[1][::step, ::step], "jpeg")

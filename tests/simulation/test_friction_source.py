@@ -19,7 +19,7 @@ from bubbleviz.simulation import (
     read_truth,
     touching_height,
 )
-from tests.program import output_of, refusal
+from tests.program import output_of
 
 HEIGHT, FRAMES = 0.020, 16
 POSE = f"0.002 0 {HEIGHT - 0.004} 0 0 0 1"
@@ -130,25 +130,6 @@ def test_ground_truth_without_friction_is_read(sensor, tmp_path):
     known = RecordingWithTruth(Recording(tmp_path / "rec.mcap"), old)
     assert known.truth(0).traction_pa is None and known.truth(0).force_n.shape == (3,)
     known.close()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--model", "linear", "--friction", "0.5"], "friction"),
-        (["--friction", "-1"], "friction"),
-        (["--drag", "3"], "frames"),
-        (["--drag", "300", "--frames", "20"], "drag"),
-        (["--twist", "1000", "--frames", "20"], "twist"),
-        (["--twist", "nan", "--frames", "20"], "twist"),
-    ],
-)
-def test_invalid_simulation_gives_one_line(sensor, tmp_path, arguments, words):
-    file, rec = tmp_path / "sensor.toml", tmp_path / "out.mcap"
-    file.write_text(sensor_to_toml(sensor))
-    given = ("--sensor", file, "--object", "sphere", "--pose", POSE, *arguments)
-    assert words in refusal("simulate", *given, "--out", rec)
-    assert not rec.exists()
 
 
 def test_drag_along_a_path_is_refused(sensor, tmp_path):
