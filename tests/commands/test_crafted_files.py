@@ -231,7 +231,7 @@ def test_compressed_depth_of_144_megapixels(tmp_path, recwarn):
     data = struct.pack("<iff", 0, 0.0, 0.0) + png(12_000, 12_000, [(b"IDAT", b"")])
     fields = {"header": bag.header(START), "format": "16UC1; compressedDepth"}
     bag.add("/depth", kind, START, **fields, data=np.frombuffer(data, np.uint8))
-    assert run("info", bag.write(tmp_path), says="12000×12000").exit_code == 2
+    assert "12000×12000" in program.refusal("info", bag.write(tmp_path))
     assert not recwarn.list
 
 
@@ -249,8 +249,7 @@ MESHES = {
 def test_mesh_of_an_object(tmp_path, sensor, name, text):
     (tmp_path / name).write_text(text)
     words = ("--sensor", sensor, "--object", tmp_path / name, "--pose", POSE)
-    done = run("simulate", *words, "--out", tmp_path / "r.mcap", says=name)
-    assert done.exit_code == 2
+    assert name in program.refusal("simulate", *words, "--out", tmp_path / "r.mcap")
 
 
 def test_mesh_of_unreadable_normals_is_read_silently(tmp_path, sensor, capfd, caplog):
@@ -266,7 +265,7 @@ def test_mesh_of_unreadable_normals_is_read_silently(tmp_path, sensor, capfd, ca
 def test_sensor_file(tmp_path, press, value):
     (tmp_path / "a.toml").write_text(f"a = {value}")
     words = ("--sensor", tmp_path / "a.toml", "--out", tmp_path / "r.npz")
-    assert run("estimate", press, *words, says="a.toml").exit_code == 2
+    assert "a.toml" in program.refusal("estimate", press, *words)
 
 
 @pytest.mark.parametrize(
@@ -296,8 +295,7 @@ def test_poses_of_endless_times(tmp_path, sensor, recwarn, time_s):
     rows = "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0.06,0,0,0,1\n"
     (tmp_path / "poses.csv").write_text(f"{rows}{time_s},0,0,0.06,0,0,0,1\n")
     words = ("--sensor", sensor, "--object", "cylinder", "--path", tmp_path / "poses.csv")
-    done = run("simulate", *words, "--out", tmp_path / "r.mcap", says="poses.csv")
-    assert done.exit_code == 2
+    assert "poses.csv" in program.refusal("simulate", *words, "--out", tmp_path / "r.mcap")
     assert not recwarn.list
 
 
@@ -313,4 +311,4 @@ def test_poses_of_endless_times(tmp_path, sensor, recwarn, time_s):
 def test_name_of_300_bytes(tmp_path, monkeypatch, sensor, press, words):
     monkeypatch.chdir(tmp_path)
     given = {"REC": press, "SENSOR": sensor, "LONG": "x" * 300}
-    assert run(*(given.get(word, word) for word in words), says="x" * 300).exit_code == 2
+    assert "x" * 300 in program.refusal(*(given.get(word, word) for word in words))
