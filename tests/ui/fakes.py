@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from threading import Event
 
 import numpy as np
 
@@ -62,6 +63,20 @@ class DentSource:
 
     def close(self):
         self.closed = True
+
+
+class HeldSource(DentSource):
+    """Frames after the first are read while `released` is set; `read` notes which are."""
+
+    def __init__(self, sensor, **dent):
+        super().__init__(sensor, **dent)
+        self.released, self.read = Event(), []
+
+    def __getitem__(self, index):
+        if index > 0:
+            self.released.wait()
+        self.read.append(index)
+        return super().__getitem__(index)
 
 
 class GappySource(DentSource):

@@ -4,8 +4,9 @@ import time
 from functools import cache
 
 import numpy as np
+from fakes import DentSource
 
-from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView
+from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.membrane import build_mesh
 from bubbleviz.recordings import Frame
 
@@ -24,7 +25,7 @@ def dented(sensor):
     return [view.range_image(2e-3 * k * dent) for k in range(FRAMES - REST + 1)]
 
 
-class RestingSource:
+class RestingSource(DentSource):
     """REST frames without contact, then a dent that grows.
 
     Parameters
@@ -37,29 +38,16 @@ class RestingSource:
         How long a frame takes to read.
     """
 
-    name = "resting"
-
     def __init__(self, sensor, noise_m=1e-4, *, fresh=False, slow_s=0.0):
-        self.times_s = np.arange(FRAMES) / 30.0
-        self.reads, self.closed = 0, False
-        self._noise, self._fresh, self._slow = noise_m, fresh, slow_s
-        camera = sensor.camera
-        self._intrinsics = Intrinsics(
-            camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
-        )
-        self._camera = DepthCamera.of(camera)
+        super().__init__(sensor, slow_s=slow_s)
+        self.name, self.times_s = "resting", np.arange(FRAMES) / 30.0
+        self._noise, self._fresh = noise_m, fresh
         self._rest_pa = sensor.pneumatics.reference_pressure_pa
         self._ranges = dented(sensor)
 
-    def __len__(self):
-        return FRAMES
-
-    def __iter__(self):
-        return (self[k] for k in range(FRAMES))
-
     def __getitem__(self, index):
         self.reads += 1
-        time.sleep(self._slow)
+        time.sleep(self._slow_s)
         pressed = max(index - REST + 1, 0)
         rng = np.random.default_rng([index, self.reads if self._fresh else 0])
         ranges = self._ranges[pressed]
@@ -68,12 +56,9 @@ class RestingSource:
             index,
             float(self.times_s[index]),
             self._camera.depth_image(ranges).astype(np.float32),
-            self._intrinsics,
+            self._camera.intrinsics,
             self._rest_pa + 60.0 * pressed + rng.standard_normal(),
         )
-
-    def close(self):
-        self.closed = True
 
 
 def never_written(*_, progress, **__):

@@ -2,11 +2,10 @@
 
 from dataclasses import replace
 from functools import partial
-from threading import Event
 
 import numpy as np
 import pytest
-from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
+from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource, HeldSource
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtGui import QPainter
 from PySide6.QtWidgets import QInputDialog
@@ -228,19 +227,6 @@ def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     assert not driver.state.settings.loop and not panel.buttons["Loop"].isChecked()
 
 
-class HeldSource(DentSource):
-    """Frames can be read while `go_on` is set."""
-
-    def __init__(self, sensor):
-        super().__init__(sensor)
-        self.go_on = Event()
-        self.go_on.set()
-
-    def __getitem__(self, index):
-        self.go_on.wait()
-        return super().__getitem__(index)
-
-
 def test_every_frame_mode_waits_for_the_solver_else_the_drawn_frame_is_indicated(drive, sensor):
     slow = partial(DentSource, slow_s=0.04)  # slower than the fastest speed
     driver = drive(slow)
@@ -255,15 +241,16 @@ def test_every_frame_mode_waits_for_the_solver_else_the_drawn_frame_is_indicated
     # without it, the drawn frame is indicated and marked
     driver.state.change(every_frame=False, speed=1.0, loop=True)
     source, state, shown = HeldSource(sensor), driver.state, driver.window.controller
+    source.released.set()
     driver.show_source(lambda _: source, sensor)
     state.set_playing(True)
     driver.wait(lambda: shown.result.frame.index > 0)
-    source.go_on.clear()
+    source.released.clear()
     before = shown.result.frame.index
     driver.wait(lambda: state.frame not in (before, shown.result.frame.index))
     driver.key(Qt.Key.Key_M)
     assert len(state.markers) == 1 and state.markers[0] in (before, shown.result.frame.index)
-    source.go_on.set()
+    source.released.set()
     state.set_playing(False)
     driver.wait_until_shown()
     assert state.playhead == state.frame == shown.result.frame.index

@@ -2,11 +2,10 @@
 
 import re
 from dataclasses import replace
-from threading import Event
 
 import numpy as np
 import pytest
-from fakes import FRAMES, DentSource
+from fakes import FRAMES, DentSource, HeldSource
 from PySide6.QtCore import QPoint, Qt
 from window_driver import CTRL, Driver, colour_bar, hover, view_texts
 
@@ -44,24 +43,11 @@ def peak_kpa(driver, frame):
     return 1e-3 * float(driver.result.estimate.contact_pressure_pa.max())
 
 
-class HeldSource(DentSource):
-    """Frames after the first are read once `released`; notes which are read."""
-
-    def __init__(self, sensor):
-        super().__init__(sensor, slow_s=0.05)  # longer than a slice of frames solved in advance
-        self.released, self.read = Event(), []
-
-    def __getitem__(self, index):
-        if index > 0:
-            self.released.wait()
-        self.read.append(index)
-        return super().__getitem__(index)
-
-
 def test_playback_solves_only_frames_it_shows_and_idle_time_completes_the_scale(
     qtbot, new_window, sensor
 ):
-    source, driver = HeldSource(sensor), Driver(qtbot, new_window())
+    # reading a frame takes longer than a slice of frames solved in advance
+    source, driver = HeldSource(sensor, slow_s=0.05), Driver(qtbot, new_window())
     driver.open("held", lambda _: source, sensor, playing=False)
     driver.window.show()
     driver.wait(lambda: driver.window.controller.result is not None)
