@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoints
 from pathlib import Path
-from types import SimpleNamespace
+from unittest.mock import MagicMock, call
 
 import click
 import numpy as np
@@ -18,7 +18,7 @@ from bubbleviz.errors import InputError, SolveError
 from bubbleviz.live import LiveSession
 from bubbleviz.recordings import Frame, RecordingWriter
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.window_session import Startup
 from tests.program import facts_of, output_of, refusal, run
@@ -135,44 +135,28 @@ def pico_recording(tmp_path):
 
 @pytest.fixture
 def windows(monkeypatch):
-    """What the commands ask of the window, in place of doing it."""
-    import bubbleviz_ui.app
-
-    asked: list[SimpleNamespace] = []
-
-    def record(name):
-        def asking(startup, out=None, *, fresh=False, overwrite=False):
-            asked.append(SimpleNamespace(name=name, startup=startup, out=out, fresh=fresh))
-            return 0
-
-        return asking
-
-    monkeypatch.setattr(bubbleviz_ui.app, "run_window", record("window"))
-    monkeypatch.setattr(bubbleviz_ui.app, "screenshot", record("screenshot"))
+    """Calls for the window or its picture, in place of doing it."""
+    asked = MagicMock()
+    asked.run_window.return_value = 0
+    for name in ("run_window", "screenshot"):
+        monkeypatch.setattr(f"bubbleviz_ui.app.{name}", getattr(asked, name))
     return asked
 
 
-def test_exit_code_of_the_window_is_that_of_the_command(windows, monkeypatch, pico_recording):
-    monkeypatch.setattr("bubbleviz_ui.app.run_window", lambda *_, **__: 3)
+def test_exit_code_of_the_window_is_that_of_the_command(windows, pico_recording):
+    windows.run_window.return_value = 3
     assert run().exit_code == run("open", pico_recording).exit_code == 3
 
 
-def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(
-    windows, monkeypatch, pico_recording
-):
-    opened: list[Sensor] = []
-
-    def window(startup, **_):
-        live = startup.live
-        opened.append(startup.sensor if live is None else LiveSession(live).sensors[0].sensor)
-        return 0
-
-    monkeypatch.setattr("bubbleviz_ui.app.run_window", window)
+def test_open_accepts_a_colour_delay_for_recordings_and_live_sources(windows, pico_recording):
     delay = ["--colour-delay", "-0.055"]
     source = ["--source", f"replay:{pico_recording}", "--sensor", "pico_flexx_75mm"]
     for what in ([pico_recording], source):
         output_of("open", *what)
         output_of("open", *what, *delay)
+    startups = [each.args[0] for each in windows.run_window.call_args_list]
+    opened = [each.sensor for each in startups[:2]]
+    opened += [LiveSession(each.live).sensors[0].sensor for each in startups[2:]]
     assert [each.camera.colour_delay_s for each in opened] == [0.0, -0.055] * 2
     assert "session file" in refusal("open", "--session", "dual_nut", *delay)
 
@@ -194,12 +178,12 @@ def test_window_and_screenshot_start_as_told(windows, pico_recording, tmp_path, 
     told = output_of(*words) + output_of("--fresh", *words)
     assert ("pico_flexx_75mm" in told) == (bool(words) and "--sensor" not in words)
     startup = Startup(load_sensor("pico_flexx_75mm"), recording, **changes)
-    expected = [("window", startup, None, False), ("window", startup, None, True)]
+    expected = [call.run_window(startup, fresh=fresh) for fresh in (False, True)]
     if words:
         assert output_of(*words, "--screenshot", out).endswith(f"wrote {out}\n")
         pictured = replace(startup, frame=startup.frame or 0)
-        expected.append(("screenshot", pictured, out, False))
-    assert [(each.name, each.startup, each.out, each.fresh) for each in windows] == expected
+        expected.append(call.screenshot(pictured, out, overwrite=False))
+    assert windows.mock_calls == expected
 
 
 def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recording, tmp_path):
@@ -207,7 +191,7 @@ def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recor
     out.write_text("precious")
     refused = refusal("open", pico_recording, "--screenshot", out)
     assert "out.png: exists already" in refused
-    assert not windows
+    assert not windows.mock_calls
 
 
 @pytest.mark.parametrize(
@@ -224,4 +208,4 @@ def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recor
 )
 def test_wrong_usage_of_the_windows_commands(windows, words, message):
     assert message in refusal(*words)
-    assert not windows
+    assert not windows.mock_calls

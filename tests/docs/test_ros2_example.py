@@ -4,8 +4,7 @@ import json
 import runpy
 import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
+from unittest.mock import MagicMock
 
 import pytest
 from pages import REPOSITORY
@@ -28,51 +27,29 @@ SHOWN = {
 """What the displays of rviz_default_plugins subscribe to."""
 
 
-class Made:
-    """Anything of `launch` or `launch_ros`, with the arguments that it was made with."""
-
-    def __init__(self, *given: Any, **named: Any) -> None:
-        self.given, self.named = given, named
-
-
 @pytest.fixture
-def launched(monkeypatch):
-    """Nodes of the launch file, by executable, and the names of its arguments."""
-    made: dict[str, list[Made]] = {}
-
-    def kind(name):
-        def make(*given, **named):
-            made.setdefault(name, []).append(Made(*given, **named))
-            return made[name][-1]
-
-        return make
-
-    for module, names in {
-        "launch": ("LaunchDescription",),
-        "launch.actions": ("DeclareLaunchArgument", "SetEnvironmentVariable"),
-        "launch.conditions": ("IfCondition",),
-        "launch.substitutions": ("LaunchConfiguration",),
-        "launch_ros": (),
-        "launch_ros.actions": ("Node",),
-    }.items():
-        stub = ModuleType(module)
-        for name in names:
-            setattr(stub, name, kind(name))
-        monkeypatch.setitem(sys.modules, module, stub)
+def ros(monkeypatch):
+    """What the launch file calls of ROS 2."""
+    called = MagicMock()
+    for name in ("", ".actions", ".conditions", ".substitutions", "_ros", "_ros.actions"):
+        monkeypatch.setitem(sys.modules, f"launch{name}", called)
     names = runpy.run_path(str(FOLDER / "bubbleviz.launch.py"))
     names["generate_launch_description"]()
-    return made
+    return called
 
 
-def test_launch_file_starts_router_camera_pose_and_rviz(launched):
-    nodes = {each.named["executable"]: each.named for each in launched["Node"]}
+def first_of(calls):
+    """First argument of each of them."""
+    return {each.args[0] for each in calls.call_args_list}
+
+
+def test_launch_file_starts_router_camera_pose_and_rviz(ros):
+    nodes = {each.kwargs["executable"]: each.kwargs for each in ros.Node.call_args_list}
     assert nodes.keys() == {"rmw_zenohd", "static_transform_publisher", "rviz2"}
     option, config = nodes["rviz2"]["arguments"]
     assert option == "-d" and Path(config) == FOLDER / "bubbleviz.rviz"
-    declared = {each.given[0] for each in launched["DeclareLaunchArgument"]}
-    assert {each.given[0] for each in launched["LaunchConfiguration"]} == declared
-    (environment,) = launched["SetEnvironmentVariable"]
-    assert environment.given == ("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
+    assert first_of(ros.LaunchConfiguration) == first_of(ros.DeclareLaunchArgument)
+    ros.SetEnvironmentVariable.assert_called_once_with("RMW_IMPLEMENTATION", "rmw_zenoh_cpp")
     words = nodes["static_transform_publisher"]["arguments"]
     assert words[0::2] == [
         *("--frame-id", "--child-frame-id"),
