@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
-from small_press import write_press, write_small_sensor
 
 import bubbleviz as bv
 from bubbleviz.errors import InputError
@@ -109,25 +108,22 @@ def test_without_contact_there_is_nothing_to_compare():
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """A small simulated press, twice as strong by its wrench sensor."""
-    folder = tmp_path_factory.mktemp("wrench")
-    sensor = write_small_sensor(folder / "small.toml")
-    run = bv.estimate(bv.open(write_press(folder / "press.mcap", sensor)), sensor)
+def recorded(sensor, press, tmp_path_factory):
+    """The small press, twice as strong by its wrench sensor."""
+    path, run = tmp_path_factory.mktemp("wrench") / "wrench.mcap", bv.estimate(press, sensor)
     held = 8  # frames of each
-    frames = [frame for frame in bv.open(folder / "press.mcap") for _ in range(held)]
-    with RecordingWriter(folder / "wrench.mcap") as writer:
+    frames = [frame for frame in bv.open(press) for _ in range(held)]
+    with RecordingWriter(path) as writer:
         for k, frame in enumerate(frames):
             force = ROTATION.inv().apply(2.0 * run.force_n[k // held]) + BIAS
             wrench = np.concatenate([force, np.zeros(3)])
             stamp = round(1e9 * k / 30.0) + 10**9
             writer.write(replace(frame, index=k, time_s=k / 30.0, stamp_ns=stamp, wrench=wrench))
-    return folder / "wrench.mcap", sensor
+    return path
 
 
-def test_command_and_files(recorded, tmp_path):
-    recording, sensor = recorded
-    words = ("validate", recording, "--sensor", sensor)
+def test_command_and_files(recorded, sensor, tmp_path):
+    words = ("validate", recorded, "--sensor", sensor)
     text = output_of(*words, "--out", tmp_path / "all")
     assert "gain        0." in text and "The sensor file is not changed" in text
     told = json.loads((tmp_path / "all" / "validation.json").read_text())

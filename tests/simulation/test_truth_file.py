@@ -5,17 +5,14 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+from small_press import small_source
 
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
-from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import changed, load_sensor
 from bubbleviz.simulation import (
-    DepthNoise,
     HasTruth,
     RecordingWithTruth,
-    SyntheticSource,
     Truth,
     read_truth,
     truth_of,
@@ -26,12 +23,8 @@ FRAMES = 3
 
 
 @pytest.fixture(scope="module")
-def source():
-    camera = {"width": 40, "height": 30, "fx": 23.0, "fy": 19.0, "cx": 19.5, "cy": 14.5}
-    sensor = changed(load_sensor("pico_flexx_75mm"), membrane={"nodes": 200}, camera=camera)
-    poses = np.repeat(np.eye(4)[None], FRAMES, axis=0)
-    poses[:, 2, 3] = (0.06, 0.045, 0.040)
-    return SyntheticSource(sensor, load_object("cylinder"), poses, DepthNoise(), nodes=400)
+def source(sensor):
+    return small_source(sensor, (0.06, 0.045, 0.040))
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +87,7 @@ def test_ground_truth_of_another_recording_gives_one_sentence(folder, tmp_path):
     np.savez(bad, **{k: a[:2] if len(a) == FRAMES else a for k, a in arrays.items()})
     assert "2 frames" in problem() and "3 frames" in problem()
     np.savez(bad, **{**arrays, "patch_mask": arrays["patch_mask"][:, :, 1:]})
-    assert "39×30" in problem() and "40×30" in problem()
+    assert "55×43" in problem() and "56×43" in problem()
     np.savez(bad, **{**arrays, "time_s": 2.0 * arrays["time_s"]})
     assert "another recording" in problem()
     np.savez(bad, **{**arrays, "force_n": np.array([{}] * FRAMES, dtype=object)})
