@@ -55,6 +55,7 @@ class Bench:
         return {
             "REC": str(self.recording),
             "REPLAY": f"replay:{self.recording}",
+            "PART": str(self.recording / f"{self.recording.name}.mcap"),
             "SENSOR": str(self.sensor),
             **{key: str(self.folder / file) for key, file in files.items()},
         }
@@ -324,6 +325,8 @@ def test_depth_that_never_meets_the_membrane(bench):
         ("pose", "REC", "--sensor", "SENSOR", "--object", "sphere", "--out", "REC"),
         ("export", "REC", "--sensor", "SENSOR", "--what", "depth", "--out", "REC"),
         ("convert", "REC", "REC"),
+        ("convert", "REC", "PART"),
+        ("record", "--source", "REPLAY", "--out", "PART"),
         ("validate", "REC", "--sensor", "SENSOR", "--out", "REC"),
         ("compare", "REC", "REC", "--sensor", "SENSOR", "--out", "REC"),
         ("identify", "REC", "--sensor", "SENSOR", "--out", "TOML", "--report", "REC"),
