@@ -1,5 +1,6 @@
 """Helpers that make frames of messages, record, play and publish them."""
 
+import socket
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -23,6 +24,12 @@ def robot(port, first=0, *mode, layout="rmw"):
     finally:
         process.kill()
         process.wait()
+
+
+def listens(port):
+    """Whether somebody does at this port of this computer."""
+    with socket.socket() as client:
+        return client.connect_ex(("127.0.0.1", port)) == 0
 
 
 def frames_of(assembler, *messages):

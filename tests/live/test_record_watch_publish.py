@@ -3,14 +3,13 @@
 import json
 import os
 import signal
-import socket
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from small_press import record, small_source
-from streams import messages_in, recorded
+from streams import listens, messages_in, recorded
 from wire import NOW, PERIOD, depth
 
 import bubbleviz as bv
@@ -186,11 +185,6 @@ def test_warning_for_a_gas_pressure_beyond_weather(
     where = "without contact" if zero == "--zero" else "in the source"
     said = [line for line in done.stderr.splitlines() if "more than weather" in line]
     assert len(said) == warned and all(where in line for line in said)
-
-
-def listens(port):
-    with socket.socket() as client:
-        return client.connect_ex(("127.0.0.1", port)) == 0
 
 
 def test_a_published_recording_waits_for_its_first_subscriber(tmp_path, eventually):

@@ -3,11 +3,10 @@
 import os
 import random
 import signal
-import socket
 import time
-from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from robot import KEYS, TOKENS, attachment, open_session
 from streams import messages_in, robot
@@ -241,27 +240,8 @@ def test_default_endpoint_is_local_only(small_sensor, eventually):
 
 def listening():
     """Addresses this process listens at."""
-    own = set(_sockets_of(os.getpid()))
-    rows = [
-        line.split()
-        for name in ("tcp", "tcp6")
-        for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
-    ]
-    ours = [row[1].split(":") for row in rows if row[3] == "0A" and row[9] in own]
-    return {
-        (socket.inet_ntoa(bytes.fromhex(host)[::-1]) if len(host) == 8 else host, int(port, 16))
-        for host, port in ours
-    }
-
-
-def _sockets_of(pid):
-    for link in Path(f"/proc/{pid}/fd").iterdir():
-        try:
-            target = str(link.readlink())
-        except OSError:
-            continue
-        if target.startswith("socket:["):
-            yield target[8:-1]
+    found = psutil.Process().net_connections("tcp")
+    return {tuple(each.laddr) for each in found if each.status == psutil.CONN_LISTEN}
 
 
 def test_endpoints_are_refused_in_one_line(small_sensor):

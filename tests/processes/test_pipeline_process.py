@@ -6,6 +6,7 @@ from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
+import psutil
 import pytest
 from small_press import small_source
 
@@ -46,14 +47,6 @@ def process(request, pipeline, frames):
     with closing(PipelineProcess(pipeline, timeout_s=timeout_s)) as process:
         started(process, frames[0])
         yield process
-
-
-def gone(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return True
-    return False
 
 
 @pytest.mark.skipif(not hasattr(os, "getpriority"), reason="Unix only")
@@ -144,14 +137,14 @@ def test_crashed_or_hanging_process_loses_no_frame(process, frames, how, words):
         result = process.process(frame, DEPTH_PRODUCTS, OPTIONS)
         assert result.estimate is not None and result.frame.depth_m is frame.depth_m
         assert process.lost == words
-    assert process.pid is None and gone(pid)
+    assert process.pid is None and not psutil.pid_exists(pid)
 
 
 def test_close_ends_the_process_even_during_startup(pipeline, frames):
     first = PipelineProcess(pipeline)
     pid = started(first, frames[0])
     first.close()
-    assert gone(pid) and first.lost == ""
+    assert not psutil.pid_exists(pid) and first.lost == ""
     assert first.process(frames[1], DEPTH_PRODUCTS).estimate is not None  # here
     assert first.pid is None
     with closing(PipelineProcess(pipeline)) as second:

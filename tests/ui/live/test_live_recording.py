@@ -3,7 +3,6 @@
 import re
 import resource
 import signal
-import socket
 import time
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from window_driver import SHIFT
 from benchmarks.window.live_soak import free_port
 from bubbleviz.live import SessionOptions, TopicNames, ZenohSource
 from bubbleviz.recordings import Recording
+from tests.live.streams import listens
 
 
 def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench, monkeypatch):
@@ -113,12 +113,8 @@ def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):
     # results are published only on request
     port = free_port()
 
-    def listens():
-        with socket.socket() as client:
-            return client.connect_ex(("127.0.0.1", port)) == 0
-
     live.live_controller.publishing.endpoint = f"tcp/127.0.0.1:{port}"
-    assert not live.live_controller.publishing.on and not listens()
+    assert not live.live_controller.publishing.on and not listens(port)
     live.state.change(layers=frozenset(), panels=frozenset())  # the patch is not visible
     results = {"/bubbleviz/contact_patch", "/bubbleviz/contact_wrench"}
     names = TopicNames(depth="/bubbleviz/contact_patch", wrench="/bubbleviz/contact_wrench")
@@ -141,5 +137,5 @@ def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):
                 placed.add((each.header.frame_id, each.child_frame_id))
     assert placed == {("bubble_depth_optical_frame", "bubble")}
     live.window.live.publish.click()
-    live.wait(lambda: not listens())
+    live.wait(lambda: not listens(port))
     live.wait(lambda: not live.window.controller.client.extra_products)
