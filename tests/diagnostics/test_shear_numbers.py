@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.path import Path
 
-from bubbleviz.diagnostics import ShearNumbers
+from bubbleviz.diagnostics import ShearNumbers, shear_line
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, FlowFit, Patch, Result, Slip, Traction
 
@@ -79,8 +79,11 @@ def test_from_depth_alone_forces_are_known_but_no_displacement_or_slip():
 
 def test_slip_is_a_share_with_its_interval():
     slip = Slip(np.zeros((9, 3)), np.zeros((9, 3)), np.zeros(9, bool), 0.25, 0.05)
-    found = ShearNumbers.of(replace(dragged(), slip=slip))
-    assert found.slip_share == pytest.approx((0.25, HALF))
+    result = replace(dragged(), slip=slip)
+    assert ShearNumbers.of(result).slip_share == pytest.approx((0.25, HALF))
+    told = shear_line(result)
+    assert told.startswith("force 3.16 ± 0.098 N with friction, torque")
+    assert told.endswith(", slip 25 ± 9.8 %")
 
 
 def test_ellipse_contains_95_percent_of_the_tangential_forces():

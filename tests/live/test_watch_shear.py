@@ -15,7 +15,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear import COLLECTED
 from tests.program import facts_of, refusal
 from tests.shear.drag import Eyes, sensor as shear_sensor, stuck
-from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_press
+from tests.shear.texture_bag import FRAMES, HELD, image, write_texture_press
 
 NOW = 1_700_000_000_000_000_000
 
@@ -61,24 +61,6 @@ def watched(*frames):
             result = watcher.step(30.0)
             assert result is not None
             yield watcher, result
-
-
-@pytest.mark.long
-def test_force_torque_and_slip_of_a_known_puck():
-    pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
-    truth, said, statuses = stuck("puck", 0.004, 0.001, 8.0), [], []
-    free = range(COLLECTED + 1)  # at the first the source is not known to have colour
-    for watcher, result in watched(*(frame_of(k) for k in (*free, *range(TOUCHED, HELD + 3)))):
-        statuses.append(result.traction.status)
-        said.append(watcher.solver.texture.words)
-    assert said[1].endswith(f"Collecting colour images without contact: 1 of {COLLECTED}")
-    assert watcher.solver.texture.words == f"{COLLECTED - LAG} images without contact"
-    np.testing.assert_allclose(
-        result.estimate.force_n, truth.force_n, atol=0.05 * np.linalg.norm(truth.force_n)
-    )
-    assert statuses.count("no_contact") >= COLLECTED - LAG and statuses.count("ok") >= 3
-    assert 0.0 < result.estimate.force_half_width_n < 0.2 * np.linalg.norm(truth.force_n)
-    assert "N with friction, torque" in shear_line(result) and "slip 0 ±" in shear_line(result)
 
 
 def test_images_just_before_contact_are_not_used_as_reference():

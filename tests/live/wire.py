@@ -1,14 +1,11 @@
 """Messages as a robot sends them, made with rosbags alone."""
 
-import io
-import struct
-
 import numpy as np
-from PIL import Image
 from rosbags.typesys import Stores, get_typestore
 
 from bubbleviz.recordings import Message
 from tests.recordings.bagmaker import BagMaker
+from tests.recordings.compressed_depth import compressed
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 HEIGHT, WIDTH = 48, 64
@@ -87,12 +84,10 @@ def cloud(stamp, points, height, width):
 
 
 def compressed_depth(stamp, k=0):
-    """The pixels of `image`, compressed with Pillow as ROS's transport does."""
-    file = io.BytesIO()
-    Image.fromarray(np.full((HEIGHT, WIDTH), 100 + k, np.uint16)).save(file, "PNG")
-    data = np.frombuffer(struct.pack("<iff", 0, 0.0, 0.0) + file.getvalue(), np.uint8)
-    message = STORE.types[COMPRESSED](header(stamp), "16UC1; compressedDepth", data)
-    return cdr(message, COMPRESSED)
+    """The pixels of `image`, compressed as ROS's transport does."""
+    text, data = compressed(np.full((HEIGHT, WIDTH), 1e-3 * (100 + k)), "16UC1")
+    pixels = np.frombuffer(data, np.uint8)
+    return cdr(STORE.types[COMPRESSED](header(stamp), text, pixels), COMPRESSED)
 
 
 def arrived(topic, kind, payload, stamp, arrival=None):
