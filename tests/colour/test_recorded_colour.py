@@ -11,12 +11,17 @@ from tests.recordings.bagmaker import KINDS, PERIOD, START, BagMaker, depth_imag
 from tests.recordings.realsense_bag import write_realsense_bag
 
 
+def coloured(kind="mcap file", late=0, every=1):
+    """The small press, with an image at every n-th of its frames or later by a share."""
+    bag = fill(BagMaker(kind))
+    for k in range(0, 6, every):
+        add_colour(bag, START + k * PERIOD + late, k)
+    return bag
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_format_has_the_images_that_were_written(tmp_path, kind):
-    bag = fill(BagMaker(kind))
-    for k in range(6):
-        add_colour(bag, START + k * PERIOD + PERIOD // 5, k)
-    with Recording(bag.write(tmp_path)) as recording:
+    with Recording(coloured(kind, PERIOD // 5).write(tmp_path)) as recording:
         for k in (5, 0, 3, 3):
             colour = recording[k].colour
             np.testing.assert_array_equal(colour.rgb(), picture(k))
@@ -51,10 +56,7 @@ def test_a_frame_has_the_nearest_image_within_half_a_period_or_none(tmp_path):
 
 
 def test_each_time_has_its_own_image(tmp_path):
-    bag = fill(BagMaker("mcap file"))
-    for k in range(6):
-        add_colour(bag, START + k * PERIOD, k)
-    with Recording(bag.write(tmp_path)) as recording:
+    with Recording(coloured().write(tmp_path)) as recording:
         period = 1e-9 * PERIOD
         colour = recording.colour_at(recording.times_s[5] - 2.3 * period)
         np.testing.assert_array_equal(colour.rgb(), picture(3))
@@ -148,10 +150,7 @@ def test_pose_in_a_realsense_bag_equals_that_of_the_library(tmp_path):
 
 
 def test_depth_alone_reads_no_colour_images(tmp_path, monkeypatch):
-    bag = fill(BagMaker("mcap file"))
-    for k in range(6):
-        add_colour(bag, START + k * PERIOD, k)
-    with Recording(bag.write(tmp_path)) as recording:
+    with Recording(coloured().write(tmp_path)) as recording:
         read: list[str] = []
         original = Messages.payload
 
@@ -169,10 +168,7 @@ def test_depth_alone_reads_no_colour_images(tmp_path, monkeypatch):
 
 
 def test_info_lists_the_colour_images(tmp_path):
-    bag = fill(BagMaker("mcap file"))
-    for k in range(3):
-        add_colour(bag, START + 2 * k * PERIOD, k)
-    with Recording(bag.write(tmp_path)) as recording:
+    with Recording(coloured(every=2).write(tmp_path)) as recording:
         facts = info(recording)
     assert (facts.colour.width, facts.colour.height, facts.colour.images) == (32, 24, 3)
     said = facts.to_text()

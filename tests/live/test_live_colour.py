@@ -60,10 +60,18 @@ def both(k, shift=0):
     ]
 
 
+def following(*messages, **how):
+    """An assembler that was asked for colour, and had these messages."""
+    assembler = FrameAssembler(**how)
+    assembler.follow_colour()
+    for message in messages:
+        assembler.push(message)
+    return assembler
+
+
 @pytest.mark.parametrize("shift", [0, PERIOD // 4, -PERIOD // 4])
 def test_frame_has_the_colour_of_its_time_once_subscribed(shift):
-    assembler = FrameAssembler()
-    assembler.follow_colour()
+    assembler = following()
     found = frames_of(assembler, *(m for k in range(8) for m in both(k, shift)))
     assert [level(frame) for frame in found[1:]] == list(range(1, 8))
     assert [level(frame, -2.1e-9 * PERIOD) for frame in found[3:]] == list(range(1, 6))
@@ -80,10 +88,7 @@ def test_frame_has_the_colour_of_its_time_once_subscribed(shift):
 @pytest.mark.parametrize(("late", "seen"), [(50_000_000, 1), (200_000_000, None)])
 def test_a_frame_waits_for_the_colour_of_its_time(late, seen):
     """A slow replay: the images of one moment arrive long after each other."""
-    assembler = FrameAssembler()
-    assembler.follow_colour()
-    for message in both(0):
-        assembler.push(message)
+    assembler = following(*both(0))
     stamp = NOW + PERIOD
     assert assembler.push(depth(stamp, 1, topic="/cam/depth/image")) == []
     until = assembler.waits_until_ns
@@ -95,10 +100,7 @@ def test_a_frame_waits_for_the_colour_of_its_time(late, seen):
 
 
 def test_a_newer_frame_ends_the_wait_for_colour():
-    assembler = FrameAssembler()
-    assembler.follow_colour()
-    for message in both(0):
-        assembler.push(message)
+    assembler = following(*both(0))
     assert assembler.push(depth(NOW + PERIOD, 1, topic="/cam/depth/image")) == []
     (frame,) = assembler.push(depth(NOW + 2 * PERIOD, 2, topic="/cam/depth/image"))
     assert frame.depth_m[0, 0] == pytest.approx(0.101)
@@ -109,8 +111,7 @@ def test_colour_delay_pairs_simultaneous_frames(ahead, small_sensor):
     """Colour shows the scene `ahead` frames later; up to half a second of images is buffered."""
     delay_s = -1e-9 * ahead * PERIOD
     pipeline = Pipeline.of(with_colour_delay(small_sensor, delay_s))
-    assembler = FrameAssembler(colour_delay_s=delay_s)
-    assembler.follow_colour()
+    assembler = following(colour_delay_s=delay_s)
     found = frames_of(assembler, *(m for k in range(20) for m in both(k)))
     result = pipeline.process(replace(found[-1], colour_delay_s=0.0), frozenset({"cloud"}))
     again = pipeline.process(result.frame, frozenset({"cloud"}))
@@ -121,10 +122,7 @@ def test_colour_delay_pairs_simultaneous_frames(ahead, small_sensor):
 def test_a_frame_waits_for_a_colour_image_that_is_late():
     """Colour at twice the rate, delayed by 0.8 periods relative to depth."""
     delay_s = 0.8e-9 * PERIOD
-    assembler = FrameAssembler(colour_delay_s=delay_s)
-    assembler.follow_colour()
-    for message in both(0):
-        assembler.push(message)
+    assembler = following(*both(0), colour_delay_s=delay_s)
     stamp = NOW + PERIOD
     assert assembler.push(depth(stamp, 1, topic="/cam/depth/image")) == []
     assert assembler.push(grey(stamp + PERIOD // 4, 11)) == []
@@ -134,21 +132,18 @@ def test_a_frame_waits_for_a_colour_image_that_is_late():
 
 def test_colour_camera_is_known_and_a_topic_can_be_chosen():
     info = arrived("/cam/depth/camera_info", INFO, camera_info(NOW), NOW)
-    assembler = FrameAssembler()
-    assembler.follow_colour()
+    assembler = following()
     image = frames_of(assembler, info, *both(0), *both(1))[-1].colour
     assert image.camera.intrinsics is not None
     assert "using the depth camera's" in image.camera.remark
     # a named topic of another namespace counts
-    assembler = FrameAssembler(TopicNames(colour="/other/color/image_raw"))
-    assembler.follow_colour()
+    assembler = following(names=TopicNames(colour="/other/color/image_raw"))
     found = frames_of(assembler, *(m for k in range(3) for m in both(k)))
     assert level(found[-1]) == 200
 
 
 def test_undecodable_colour_is_reported_on_demand():
-    assembler = FrameAssembler()
-    assembler.follow_colour()
+    assembler = following()
     messages = [*both(0), depth(NOW + PERIOD, 1, topic="/cam/depth/image")]
     broken = arrived(COLOUR, IMAGE, b"\0\1\0\0garbage", NOW + PERIOD)
     found = frames_of(assembler, *messages, broken)
