@@ -1,7 +1,6 @@
-"""The exact bubble obeys conservation laws; error of the linear model against it."""
+"""The exact bubble conserves energy; error of the linear model against it."""
 
 import os
-from functools import cache
 
 import numpy as np
 import pytest
@@ -12,11 +11,6 @@ from tests.oracles.exact_bubble import Bubble, axial_contact
 PAPER = Bubble(0.075, 0.05, 2585.5, 101325.0, 2.2e-3)
 BALL = 0.02
 SOME = (0.002, 0.010, 0.030)  # m, of the depths
-
-
-@cache
-def pressed(depth, ball):
-    return axial_contact(PAPER, depth, ball)
 
 
 def film(contact, ball):
@@ -31,37 +25,14 @@ def film(contact, ball):
 
 
 @pytest.mark.parametrize("ball", [np.inf, BALL])
-@pytest.mark.parametrize("depth", [0.002, 0.010, pytest.param(0.025, marks=pytest.mark.long)])
-def test_the_contact_force_balances_rim_and_gas(ball, depth):
-    contact = pressed(depth, ball)
-    dr, dz = np.diff(contact.profile_m[-3:], axis=0).T
-    before, last = np.arctan2(-dz, dr)  # slopes at the middles of the last two chords
-    sine = np.sin(1.5 * last - 0.5 * before)
-    gauge = PAPER.gauge_pressure_pa + contact.gas_pressure_change_pa
-    a, tension = PAPER.rim_radius_m, PAPER.tension_n_per_m
-    held = gauge * np.pi * a**2 - 2 * np.pi * a * tension * sine
-    assert contact.force_n == pytest.approx(held, rel=1e-4, abs=1e-4)
-    assert contact.profile_m[-1] == pytest.approx([a, 0.0], abs=1e-9)
-
-
-@pytest.mark.parametrize("ball", [np.inf, BALL])
 def test_work_of_the_force_equals_energy_of_film_and_gas(ball):
     """F dδ = γ0 dS − P_gauge dV along the path of equilibria."""
     depth, step = 0.010, 1e-4
-    low, middle, high = (pressed(depth + k * step, ball) for k in (-1, 0, 1))
+    low, middle, high = (axial_contact(PAPER, depth + k * step, ball) for k in (-1, 0, 1))
     (s0, v0), (s1, v1) = film(low, ball), film(high, ball)
     gauge = PAPER.gauge_pressure_pa + middle.gas_pressure_change_pa
     work = PAPER.tension_n_per_m * (s1 - s0) - gauge * (v1 - v0)
     assert middle.force_n == pytest.approx(work / (2 * step), rel=2e-3)
-
-
-def test_gas_law_on_the_profile():
-    contact = pressed(0.010, BALL)
-    _, volume = film(contact, BALL)
-    p0 = PAPER.atmospheric_pressure_pa + PAPER.gauge_pressure_pa
-    before = p0 * (PAPER.chamber_volume_m3 + PAPER.cap_volume_m3)
-    after = (p0 + contact.gas_pressure_change_pa) * (PAPER.chamber_volume_m3 + volume)
-    assert after == pytest.approx(before, rel=1e-5)
 
 
 def linear_press(mesh, depth):
@@ -84,7 +55,7 @@ def test_error_of_the_linear_model_grows_with_depth():
     depths = (0.002, 0.005, 0.010, 0.020, 0.030) if "TEST_ALL" in os.environ else SOME
     errors = []
     for depth in depths:
-        exact = pressed(depth, BALL)
+        exact = axial_contact(PAPER, depth, BALL)
         force, change = linear_press(mesh, depth)
         errors.append((force / exact.force_n - 1, change / exact.gas_pressure_change_pa - 1))
     force_error, pressure_error = np.abs(errors).T
