@@ -12,7 +12,8 @@ import tomli_w
 from small_press import record as record_frames, small_source
 
 from bubbleviz.recordings import Frame, Recording
-from bubbleviz.sensor import changed, load_sensor, sensor_to_toml
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.simulation import resized, with_nodes
 from tests.program import COMMAND, refusal, run
 from tests.recordings.bagmaker import START, BagMaker, depth_image
 
@@ -28,9 +29,7 @@ COMMANDS = {
 
 def toml(**changes):
     """Sensor file of a small dome; `section__key=value` changes a value of a valid sensor."""
-    camera = {"width": SIZE[0], "height": SIZE[1], "fx": 18.0, "fy": 18.0, "cx": 15.5, "cy": 11.5}
-    preset = load_sensor("pico_flexx_75mm")
-    text = sensor_to_toml(changed(preset, membrane={"nodes": 60}, camera=camera))
+    text = sensor_to_toml(with_nodes(resized(load_sensor("pico_flexx_75mm"), *SIZE), 60))
     for old, new in changes.get("replace", {}).items():
         assert old in text, "the test changes nothing"
         text = text.replace(old, new)

@@ -6,18 +6,18 @@ import pytest
 from bubbleviz.camera import DepthCamera
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.simulation import resized, with_nodes
 from tests.program import output_of
-from tests.small_press import changed
 
 POSE = "0.004 0 0.040 0 0 0 1"
 
 
 @pytest.fixture(scope="module")
 def sensor_file(tmp_path_factory):
-    sensor = load_sensor("pico_flexx_75mm")
-    camera = {"width": 64, "height": 48, "fx": 53.3, "fy": 58.0, "cx": 31.5, "cy": 23.5}
     path = tmp_path_factory.mktemp("sensor") / "small.toml"
-    path.write_text(sensor_to_toml(changed(sensor, camera=camera, membrane={"nodes": 600})))
+    path.write_text(
+        sensor_to_toml(with_nodes(resized(load_sensor("pico_flexx_75mm"), 64, 48), 600))
+    )
     return path
 
 

@@ -5,8 +5,8 @@ import threading
 import pytest
 from wire import HEIGHT, WIDTH
 
-from bubbleviz.sensor import load_sensor
-from tests.small_press import changed
+from bubbleviz.sensor import load_sensor, sensor_to_toml
+from bubbleviz.simulation import resized, with_nodes
 
 
 @pytest.fixture(autouse=True)
@@ -22,29 +22,14 @@ def no_threads_left():
 
 
 @pytest.fixture(scope="session")
-def small_sensor(tmp_path_factory):
+def small_sensor():
     """The preset with a coarse mesh and few pixels, looking at the same dome."""
-    sensor = load_sensor("pico_flexx_75mm")
-    scale = WIDTH / sensor.camera.width
-    return changed(
-        sensor,
-        camera={
-            "width": WIDTH,
-            "height": HEIGHT,
-            "fx": sensor.camera.fx * scale,
-            "fy": sensor.camera.fy * HEIGHT / sensor.camera.height,
-            "cx": 0.5 * (WIDTH - 1),
-            "cy": 0.5 * (HEIGHT - 1),
-        },
-        membrane={"nodes": 300},
-    )
+    return with_nodes(resized(load_sensor("pico_flexx_75mm"), WIDTH, HEIGHT), 300)
 
 
 @pytest.fixture(scope="session")
 def small_sensor_file(small_sensor, tmp_path_factory):
     """The same as a file."""
-    from bubbleviz.sensor import sensor_to_toml
-
     path = tmp_path_factory.mktemp("sensor") / "small.toml"
     path.write_text(sensor_to_toml(small_sensor))
     return path

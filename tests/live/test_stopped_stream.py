@@ -9,14 +9,12 @@ from functools import partial
 import pytest
 from small_press import small_source
 from streams import robot
-from wire import HEIGHT, WIDTH
 
 import bubbleviz as bv
 from benchmarks.window.live_soak import free_port
 from bubbleviz.errors import StreamStoppedError
 from bubbleviz.live import SessionOptions, ZenohPublisher
 from bubbleviz.recordings import RecordingWriter
-from tests.small_press import changed
 
 BEFORE, GAP_S = 4, 2.5
 """Frames before and after the gap, and its length: more than twice the time that is waited."""
@@ -82,7 +80,7 @@ def test_timeout_counts_from_the_last_frame(gaps, sensor, eventually):
             next(frames)
 
 
-def test_killed_robot_ends_the_loop(sensor):
+def test_killed_robot_ends_the_loop(small_sensor):
     """Until then every result has the time of its image, and after it its age grows.
 
     No thread of Zenoh's outlives the stream: one that ended while Python exits would abort it.
@@ -90,7 +88,7 @@ def test_killed_robot_ends_the_loop(sensor):
     port, threads = free_port(), set(threading.enumerate())
     with (
         robot(port) as process,
-        bv.connect(f"zenoh:tcp/127.0.0.1:{port}", of_robot(sensor)) as stream,
+        bv.connect(f"zenoh:tcp/127.0.0.1:{port}", small_sensor) as stream,
         pytest.raises(StreamStoppedError, match="no depth image for"),
     ):
         before_ns = time.time_ns()
@@ -116,9 +114,3 @@ def test_robot_without_a_camera_times_out(made, sensor, monkeypatch):
         pytest.raises(bv.InputError, match="no depth image arrived: no topics were found"),
     ):
         next(iter(made(stream)))
-
-
-def of_robot(sensor):
-    """The sensor with images of the robot's size."""
-    given = bv.load_sensor(sensor)
-    return changed(given, camera={"width": WIDTH, "height": HEIGHT})

@@ -10,6 +10,7 @@ from window_driver import PATIENCE_MS, Driver
 
 from bubbleviz.live import SensorPlace, SessionPreset
 from bubbleviz.sensor import sensor_to_toml
+from bubbleviz.simulation import resized
 from bubbleviz.zeros import ZERO_FRAMES
 from bubbleviz_ui.live.connection import single
 from tests.small_press import changed
@@ -21,9 +22,7 @@ IMAGE, STRING = "sensor_msgs/msg/Image", "std_msgs/msg/String"
 
 def robot_sensor(**pneumatics):
     """The small dome seen by a camera of the robot's image size."""
-    sensor = small_sensor("robot dome")
-    size = {"width": WIDTH, "height": HEIGHT, "fx": 36.8, "fy": 30.4, "cx": 31.5, "cy": 23.5}
-    return changed(sensor, camera=size, pneumatics=pneumatics)
+    return changed(resized(small_sensor("robot dome"), WIDTH, HEIGHT), pneumatics=pneumatics)
 
 
 def sensor_file(folder, name="robot_dome", **pneumatics):
