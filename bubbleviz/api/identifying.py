@@ -17,7 +17,6 @@ from bubbleviz.calibration import (
     Settings,
     Step,
     SurfaceName,
-    Validation,
     Workbench,
     as_ranges,
     output_files,
@@ -30,6 +29,7 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.simulation import Validation
 
 
 @dataclass

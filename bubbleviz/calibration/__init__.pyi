@@ -27,7 +27,6 @@ from .rest_frames import (
 )
 from .rubber_problem import (
     collect_press as collect_press,
-    press_hold_frames as press_hold_frames,
     with_rubber as with_rubber,
 )
 from .sensor_check import (
@@ -43,10 +42,6 @@ from .surface import (
     SURFACE_NAMES as SURFACE_NAMES,
     Quantity as Quantity,
     SurfaceName as SurfaceName,
-)
-from .validation import (
-    Validation as Validation,
-    mean_frame as mean_frame,
 )
 from .verdict import (
     advice as advice,

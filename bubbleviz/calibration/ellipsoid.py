@@ -76,8 +76,16 @@ class Ellipsoid:
 
 
 def fit_sphere(points: np.ndarray) -> Ellipsoid:
-    """Robust fit of a sphere to points (k, 3) in m; outliers have no weight."""
-    points = _finite_points(points)
+    """Robust fit of a sphere to points (k, 3) in m; outliers have no weight.
+
+    Raises InputError: too few points, or no sphere fits them (a flat membrane, depth in a wrong
+    unit).
+    """
+    if len(points) < 20:
+        raise InputError(
+            f"contact-free depth: only {len(points)} usable points on the membrane; uncover the "
+            "camera, or check the depth images"
+        )
     centre, radius = _algebraic_sphere(_subsample(points))
     return _fit(points, Ellipsoid(centre, np.full(3, radius)), sphere=True)
 
@@ -85,10 +93,8 @@ def fit_sphere(points: np.ndarray) -> Ellipsoid:
 def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellipsoid:
     """Robust fit of an ellipsoid to points (k, 3) in m, from their sphere; outliers have no weight.
 
-    Raises InputError: too few points, or no ellipsoid fits them (a flat membrane, depth in a wrong
-    unit).
+    Raises InputError: as `fit_sphere`.
     """
-    points = _finite_points(points)
     return _fit(points, sphere or fit_sphere(_subsample(points)), sphere=False)
 
 
@@ -123,17 +129,6 @@ def refitted(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipso
             break
         distance = surface.distance(points)
     return surface
-
-
-def _finite_points(points: np.ndarray) -> np.ndarray:
-    points = np.asarray(points, float).reshape(-1, 3)
-    points = points[np.isfinite(points).all(axis=1)]
-    if len(points) < 20:
-        raise InputError(
-            f"contact-free depth: only {len(points)} usable points on the membrane; uncover the "
-            "camera, or check the depth images"
-        )
-    return points
 
 
 def _subsample(points: np.ndarray) -> np.ndarray:

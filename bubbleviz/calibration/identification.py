@@ -28,7 +28,7 @@ from bubbleviz.sensor_model import SensorModel
 from bubbleviz.wording import count_of
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration.validation import Validation
+    from bubbleviz.simulation import Validation
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
 RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}

@@ -561,35 +561,27 @@ _HOLD_SHARE = 0.9  # of the largest rise of the gas pressure: above it, a press 
 _PRESS_RISE = 10.0  # of the gas pressure by a press, in standard deviations
 
 
-def press_hold_frames(
-    source: FrameSource, samples: FrameSamples, progress: Progress = quiet
-) -> list[int]:
-    """Frames after the contact-free ones with a gas pressure near its maximum.
+def collect_press(
+    source: FrameSource, samples: FrameSamples, sensor: Sensor, progress: Progress = quiet
+) -> FrameSamples | None:
+    """Frames of the highest gas pressure after the contact-free ones.
 
-    Empty where there is no gas pressure, or no press that raises it by ten times its noise.
+    None if fewer than five, or if no press raises the pressure by ten times its noise. The first
+    frames are left out: a camera's temporal filter still mixes earlier images into them.
     """
-    free = samples.gas_pressure_pa
+    free, pressures = samples.gas_pressure_pa, []
     if free is None:
-        return []
-    later, pressures = range(max(samples.frames) + 1, len(source)), []
+        return None
+    later = range(max(samples.frames) + 1, len(source))
     for k in later:
         pressures.append(source[k].gas_pressure_pa)
         progress("finding the press", (k - later.start) / len(later))
     rise = np.array(pressures, float) - np.median(free)  # NaN: not measured
-    if not np.isfinite(rise).any() or np.nanmax(rise) < _PRESS_RISE * max(robust_sigma(free), 1e-9):
-        return []
-    return [later[k] for k in np.flatnonzero(rise > _HOLD_SHARE * np.nanmax(rise))]
-
-
-def collect_press(
-    source: FrameSource, samples: FrameSamples, sensor: Sensor, progress: Progress = quiet
-) -> FrameSamples | None:
-    """Frames of a press held after the contact-free frames, with gas pressure; None without one.
-
-    The first frames are left out: a camera's temporal filter still mixes earlier images into them.
-    """
-    hold = dict.fromkeys(press_hold_frames(source, samples, progress))
-    frames = [k for k in hold if k - LAG in hold]
+    highest = np.nanmax(rise, initial=-np.inf)
+    if highest < _PRESS_RISE * max(robust_sigma(free), 1e-9):
+        return None
+    held = rise > _HOLD_SHARE * highest
+    frames = [later[k] for k in np.flatnonzero(held[LAG:] & held[:-LAG]) + LAG]
     return collect(source, sensor, frames, progress) if len(frames) >= MIN_FRAMES else None
 
 

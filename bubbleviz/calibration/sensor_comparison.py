@@ -58,13 +58,12 @@ class SensorComparison:
         known = old.calibration or Calibration(pixels_file="")  # without intervals
         height = new.surfaces.dimensions["height_m"]
         found = {"γ0": new.tension, "gauge pressure": new.gauge, "height": height}
+        found |= {RUBBER_NAMES[name]: each for name, each in new.rubber.items()}
         intervals = {
             "γ0": known.tension_interval_n_per_m,
             "gauge pressure": known.gauge_interval_pa,
+            **{text: getattr(known, f"{name}_interval") for name, text in RUBBER_NAMES.items()},
         }
-        for name, text in RUBBER_NAMES.items():
-            intervals[text] = getattr(known, f"{name}_interval")
-            found |= {text: new.rubber[name]} if name in new.rubber else {}
         half = {name: each.half_width for name, each in found.items()}
         old_half = {name: 0.5 * float(np.ptp(ends)) for name, ends in intervals.items() if ends}
         rows = tuple(

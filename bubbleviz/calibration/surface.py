@@ -299,8 +299,9 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
         "ellipsoid": _cap_tension(surfaces.cap, len(surfaces.mesh.nodes)),
         "free-form": balance_tension(free_form.mesh, 1.0),
     }
-    cap = surfaces.cap if chosen == "free-form" else surfaces.chosen_cap
-    own = _cap_tension(cap, len(surfaces.mesh.nodes))  # by the same mesh, also of a sphere
+    own = _cap_tension(
+        surfaces.chosen_cap, len(surfaces.mesh.nodes)
+    )  # by the same mesh, also of a sphere
     shape = [free_form.sigma_m[0] * together, by_surface["free-form"] - own]
     sizes, sigmas = {"height_m": float(free_form.mesh.nodes[:, 2].max())}, free_form.sigma_m[1:]
     if chosen != "free-form":

@@ -196,7 +196,7 @@ class Workbench:
             return fitted
         progress("predicting the known press", 0.9)
         # not at the window's start
-        from bubbleviz.calibration.validation import validate_press
+        from bubbleviz.simulation import validate_press
 
         known = settings.obj, settings.pose, pressed
         validation = self._cached(

@@ -23,7 +23,6 @@ from .scene import ARROW as ARROW, scene_of as scene_of
 from .settings_comparison import (
     ComparedResult as ComparedResult,
     SettingsComparison as SettingsComparison,
-    iou as iou,
 )
 from .table_export import (
     DPI as DPI,

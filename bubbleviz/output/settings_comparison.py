@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-
 from bubbleviz.camera import Intrinsics
 from bubbleviz.diagnostics import Numbers, numbers_of
 from bubbleviz.inverse import EstimatorOptions
@@ -15,14 +13,7 @@ from bubbleviz.pipeline import FrameOptions, Pipeline, Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
-from bubbleviz.simulation import Truth
-
-
-def iou(a: np.ndarray, b: np.ndarray) -> float:
-    """Intersection over union of two masks; 1 where both are empty."""
-    union = np.count_nonzero(a | b)
-    return np.count_nonzero(a & b) / union if union else 1.0
-
+from bubbleviz.simulation import Truth, iou
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pixel_mask"})
 

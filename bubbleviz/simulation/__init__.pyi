@@ -12,6 +12,11 @@ from .inflated_rubber import (
     InflatedRubber as InflatedRubber,
     still_frames as still_frames,
 )
+from .known_press import (
+    Validation as Validation,
+    mean_frame as mean_frame,
+    validate_press as validate_press,
+)
 from .live_scenes import (
     finger_pose as finger_pose,
     grip_poses as grip_poses,
@@ -52,6 +57,7 @@ from .synthetic_source import (
     Truth as Truth,
     default_path as default_path,
     default_press as default_press,
+    iou as iou,
     simulation_mesh as simulation_mesh,
     truth_of as truth_of,
 )

@@ -120,6 +120,12 @@ class Truth:
         return float(np.linalg.norm(force_n - self.force_n)) / size if size > 0.0 else float("nan")
 
 
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    """Intersection over union of two masks; 1 where both are empty."""
+    union = np.count_nonzero(a | b)
+    return np.count_nonzero(a & b) / union if union else 1.0
+
+
 def _slip_share(slip_m: np.ndarray, touching_m2: np.ndarray) -> float:
     """Share of the contact area (n,) that slips; NaN if unknown."""
     if not touching_m2.any() or np.isnan(slip_m).any():

@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 from bubbleviz.files import create_folder
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import MembraneMesh, TriangleScene
-from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline, Product
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
@@ -38,6 +37,7 @@ from bubbleviz.simulation import (
     SimulatedPress,
     TruthBank,
     dome,
+    iou,
     noise_name,
     presses,
     rubber_sensor,

@@ -11,7 +11,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bubbleviz.inverse import LINEAR, RUBBER
-from bubbleviz.output import iou
 from bubbleviz.processes import PeakMemory
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
@@ -21,6 +20,7 @@ from bubbleviz.simulation import (
     NODE_RATIO,
     SyntheticSource,
     default_press,
+    iou,
     rubber_sensor,
     with_nodes,
     with_pixels,

@@ -17,11 +17,10 @@ from benchmarks.edge import (
     report_of,
     targets,
 )
-from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, with_nodes
+from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, iou, with_nodes
 
 ONE = DepthNoise(relative=0.01)
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from bubbleviz.calibration import collect, press_hold_frames
+from bubbleviz.calibration import collect, collect_press
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import Frame, find_contact_free, tile_depths
+from bubbleviz.recordings import LAG, Frame, find_contact_free, tile_depths
 
-from .twin import FREE, PRESSED, make_twin, nominal_sensor
+from .twin import FREE, make_twin, nominal_sensor
 
 FRAMES = 80
 
@@ -84,12 +84,11 @@ def test_an_image_smaller_than_a_tile_has_none(shape):
 
 def test_held_press_is_found_near_the_highest_gas_pressure():
     """The twin's press grows over eight frames: seven eighths of it are not yet nine tenths."""
-    twin = make_twin()
+    twin = make_twin(frames=FREE + 20)
     samples = collect(twin, nominal_sensor(), range(FREE))
-    assert press_hold_frames(twin, samples) == list(range(FREE + 7, FREE + PRESSED))
-    twin.pressures[FREE:] = twin.pressures[:PRESSED]  # nothing is pressed
-    assert press_hold_frames(twin, samples) == []
-    assert (
-        press_hold_frames(twin, collect(make_twin(pressure=False), nominal_sensor(), range(9)))
-        == []
-    )
+    held = collect_press(twin, samples, nominal_sensor())
+    assert held.frames == tuple(range(FREE + 7 + LAG, FREE + 20))
+    twin.pressures[FREE:] = twin.pressures[:20]  # nothing is pressed
+    assert collect_press(twin, samples, nominal_sensor()) is None
+    silent = collect(make_twin(pressure=False), nominal_sensor(), range(9))
+    assert collect_press(twin, silent, nominal_sensor()) is None

@@ -7,14 +7,13 @@ import pytest
 
 from bubbleviz.calibration import (
     Quantity,
-    Validation,
     advice,
     grade,
     headline,
     parameters,
     sentence,
 )
-from bubbleviz.simulation import DepthNoise
+from bubbleviz.simulation import DepthNoise, Validation
 
 from .domes import sphere
 from .identified import identify
@@ -154,9 +153,10 @@ def test_stress_that_an_oval_rim_leaves_open_has_a_row_where_it_is_known(ball, k
     ],
 )
 def test_poorly_predicted_known_press_needs_a_check(left, overlap, why):
-    points, none, force = np.zeros((4, 3)), np.zeros((2, 2), bool), np.zeros(3)
-    distance = np.full((2, 2), left)
-    press = Validation(points, distance, 4e-3, none, none, overlap, force, force)
+    points, distance, force = np.zeros((4, 3)), np.full((5, 5), left), np.zeros(3)
+    pixels = np.arange(25).reshape(5, 5)  # NaN: none has a patch
+    patches = (pixels < share for share in (25 * np.isfinite(overlap), 25 * overlap))
+    press = Validation(points, distance, 4e-3, *patches, force, force)
     line = press.summary
     assert len(press.failures) == len(why)
     assert all(word in text for word, text in zip(why, press.failures, strict=True))

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from bubbleviz.errors import InputError
-from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank
+from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, iou
 from bubbleviz.study.accuracy import (
     LINEAR,
     RUBBER,

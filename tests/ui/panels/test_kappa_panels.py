@@ -9,9 +9,8 @@ from PySide6.QtWidgets import QApplication
 from window_driver import CONTACT, LEFT, graphics_view, hover, view_texts
 
 from bubbleviz.inverse import EstimatorOptions, components
-from bubbleviz.output import iou
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.simulation import truth_of
+from bubbleviz.simulation import iou, truth_of
 
 
 def threshold(driver):

@@ -27,7 +27,8 @@ from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.table import Table
 
 if TYPE_CHECKING:
-    from bubbleviz.calibration import QuantityKind, SensorComparison, Validation
+    from bubbleviz.calibration import QuantityKind, SensorComparison
+    from bubbleviz.simulation import Validation
 
 
 class ReportPage(Page):

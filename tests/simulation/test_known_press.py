@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Validation, mean_frame
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, SyntheticSource, touching_height
+from bubbleviz.simulation import (
+    DepthNoise,
+    SyntheticSource,
+    Validation,
+    mean_frame,
+    touching_height,
+)
 from tests.small_press import changed
 
 TENSION = 105.0

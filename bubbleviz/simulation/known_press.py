@@ -1,4 +1,4 @@
-"""Validation by a known object at a known pose: membrane, patch and force against prediction."""
+"""Prediction of a press of a known object at a known pose, against frames of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, FrameSource
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import SyntheticSource
+from bubbleviz.simulation.synthetic_source import SyntheticSource, iou
 from bubbleviz.wording import count_of
 
 LARGEST_SHARE = 0.5
@@ -38,7 +38,6 @@ class Validation:
     # model and by the estimate
     predicted_patch: np.ndarray
     measured_patch: np.ndarray
-    patch_overlap: float  # intersection over union of both; NaN where both are empty
     # predicted_force_n, measured_force_n: (3,), on the membrane in B
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
@@ -78,22 +77,16 @@ class Validation:
                 "validation: no pixel has a valid depth on the membrane; choose other pressed "
                 "frames, or the sensor file of this camera"
             )
-        predicted = truth.patch_mask
         result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
-        estimated = np.zeros_like(predicted)
-        force = np.zeros(3)
+        estimated, force = np.zeros_like(truth.patch_mask), np.zeros(3)
         if result.patch is not None and result.patch.pixel_mask is not None:
             estimated, force = result.patch.pixel_mask, result.patch.force_n
-        union = int(np.count_nonzero(predicted | estimated))
         return cls(
             points_m=model.camera.points_at(measured, np.flatnonzero(np.isfinite(distance))),
             distance_m=distance,
             untouched_rms_m=float(np.sqrt(np.nanmean(untouched**2))),
-            predicted_patch=predicted,
+            predicted_patch=truth.patch_mask,
             measured_patch=estimated,
-            patch_overlap=np.count_nonzero(predicted & estimated) / union
-            if union
-            else float("nan"),
             predicted_force_n=truth.force_n,
             measured_force_n=force,
         )
@@ -107,6 +100,12 @@ class Validation:
     def p95_m(self) -> float:
         """95th percentile of the absolute distance, m."""
         return float(np.nanpercentile(np.abs(self.distance_m), 95.0))
+
+    @property
+    def patch_overlap(self) -> float:
+        """Intersection over union of both patches; NaN where both are empty."""
+        patches = self.predicted_patch, self.measured_patch
+        return iou(*patches) if np.any(patches) else float("nan")
 
     @property
     def failures(self) -> tuple[str, ...]:
