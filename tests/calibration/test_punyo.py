@@ -32,6 +32,25 @@ def found(press):
     )
 
 
+@pytest.fixture(scope="module")
+def held(press, found):
+    return collect_press(press, found.samples, found.given)
+
+
+def test_gauge_pressure_from_the_press(found, held):
+    """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean."""
+    result = with_rubber(found, [], press=held)
+    gauge, _ = result.gauge_candidates
+    local_pa = np.mean(found.samples.gas_pressure_pa) - 98_700.0
+    assert result.surfaces.chosen == "free-form"
+    assert not result.contradicts_file
+    assert result.gauge.low < local_pa < result.gauge.high
+    assert result.gauge.source.startswith("the press in")
+    assert gauge.half_width < 0.15 * gauge.value
+    assert gauge.low < local_pa < gauge.high
+    assert result.prestretch is not None
+
+
 def test_contact_free_frames(press):
     assert abs(find_contact_free(press).frames.stop - 60) <= 3
 
@@ -51,7 +70,6 @@ def test_held_out_residual_and_fits(press, found):
 
 @pytest.mark.long  # in short: of a sphere, in test_identify_command.py
 def test_no_force_on_frames_not_used(press, found, tmp_path):
-    assert found.surfaces.chosen == "free-form"
     assert found.tension_by_shape.half_width < 0.05 * found.tension_n_per_m
     write_sensor(found, tmp_path / "half.toml")
     pipeline = Pipeline.of(load_sensor(tmp_path / "half.toml"), intrinsics=press[0].intrinsics)
@@ -62,23 +80,13 @@ def test_no_force_on_frames_not_used(press, found, tmp_path):
     assert np.sqrt(np.mean(np.square(forces))) <= 0.05
 
 
-@pytest.mark.long  # in short: of simulated rubber, in test_rubber_press.py
-def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, found):
-    """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean."""
-    result = with_rubber(found, [], press=collect_press(press, found.samples, found.given))
-    gauge, _ = result.gauge_candidates
-    local_pa = np.mean(found.samples.gas_pressure_pa) - 98_700.0
-    assert not result.contradicts_file
-    assert result.gauge.low < local_pa < result.gauge.high
-    assert result.gauge.source.startswith("the press in")
-    held = collect_press(press, found.samples, found.given).frames
+@pytest.mark.long  # the whole is above
+def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, found, held):
+    gauge, _ = with_rubber(found, [], press=held).gauge_candidates
     for parts in (2, 3):
-        for frames in np.array_split(held, parts):
+        for frames in np.array_split(held.frames, parts):
             part = with_rubber(found, [], press=collect(press, found.given, frames.tolist()))
             assert gauge.low < part.gauge_candidates[0].value < gauge.high, frames
-    assert gauge.half_width < 0.15 * gauge.value
-    assert gauge.low < local_pa < gauge.high
-    assert result.prestretch is not None
 
 
 @pytest.mark.long  # in short: of the twin, in test_refusals.py
