@@ -167,6 +167,16 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(found, vented):
     assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
 
 
+def test_interval_of_the_prestretch_follows_that_of_the_gauge_pressure(found):
+    """Were the true gauge pressure at one end of its interval, λ would be within its own."""
+    levels = [level(found, share) for share in (0.85, 1.15)]
+    free = with_rubber(found, levels)
+    for end in (free.gauge.low, free.gauge.high):
+        known = replace(found, gauge=Quantity.normal(end, 1.0), vented=free.gauge)
+        stretch = with_rubber(known, levels).prestretch.value
+        assert free.prestretch.low < stretch < free.prestretch.high
+
+
 def test_tension_that_shape_leaves_open_does_not_widen_the_prestretch(found, vented):
     """The fit has the stress between film and flat sheet as an unknown: once is enough."""
     levels, known = [level(found, share) for share in (0.85, 1.15)], opened(found, vented)
