@@ -52,8 +52,8 @@ class Identification:
     # absolute gas pressure of the open chamber, Pa, from which `gauge` was found
     vented: Quantity | None = None
     gauge: Quantity = NOT_YET  # gauge pressure, Pa
-    # of `RUBBER_PARAMETERS` those that were determined, by their names in the sensor file
-    fitted_rubber: Mapping[str, Quantity] = field(default_factory=dict)
+    # of `RUBBER_PARAMETERS` those that were determined, within their limits
+    rubber: Mapping[str, Quantity] = field(default_factory=dict)
     why_not: str = "neither levels nor a held press were used"  # to determine λ
     shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
     # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
@@ -144,15 +144,9 @@ class Identification:
         return SensorModel(self.sensor, DepthCamera.of(self.sensor.camera), self.mesh, self.pixels)
 
     @property
-    def rubber(self) -> dict[str, Quantity]:
-        """Parameters of the rubber that were determined, within their limits."""
-        every = self.fitted_rubber.items()
-        return {name: each.possible(*RUBBER_PARAMETERS[name]) for name, each in every}
-
-    @property
     def prestretch(self) -> Quantity | None:
         """λ; None: not determined."""
-        return self.fitted_rubber.get("prestretch")
+        return self.rubber.get("prestretch")
 
     @property
     def modelled_range_m(self) -> np.ndarray:

@@ -69,7 +69,7 @@ SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 _INITIAL_Q = (0.35, 0.7, 0.05)
 """λ of 1.19; then 1.06 and 1.65 where the shapes have no equilibrium, or the fit runs to constant
 tension, as it may where the gauge pressure is far too low."""
-_MIN_GAUGE = 0.1  # over the initial gauge pressure
+_MIN_GAUGE = 0.1  # over the initial or the found gauge pressure
 _SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 """Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
 _GRADIENT_SIGMA = 0.1
@@ -609,11 +609,8 @@ def _fitted(
     shapes: Sequence[FrameSamples],  # levels, or a press
     level_sigma_pa: float | None,
 ) -> Identification:
-    """The same with λ and gauge pressure of the rubber, or the reason why λ is not determined.
+    """The same with gauge pressure and parameters of the rubber.
 
-    λ counts as determined unless its interval at the gauge pressure found holds 1. One that holds
-    constant tension ends at the largest λ: rubber of the best λ is nearer to the truth than that.
-    The interval of λ follows that of G along the valley of shapes that fit almost as well.
     Raises InputError: no rubber explains the shapes.
     """
     names, kind, file = ", ".join(s.source_name for s in shapes), found.shapes_kind, found.gauge
@@ -625,44 +622,58 @@ def _fitted(
     if unexplained > _MAX_UNEXPLAINED * change:
         misfit = f"misfit {1e3 * unexplained:.2g} mm rms of a change of {1e3 * change:.2g} mm rms"
         return replace(known, why_not=f"no rubber of this shape at rest fits: {misfit}")
-    q, covariance = float(values[1, 0]), covariances[1]
-    slope, wider = float(covariance[0, 1] / covariance[1, 1]), 1.0  # of q over G, in the valley
-    at_gauge = HALF_95 * float(np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0)))
-    if found.vented is None:
-        shapes_alone, both = (
-            Quantity.normal(file.value * share, file.value * float(np.sqrt(square)), source)
-            for share, square in zip(values[:, 1].tolist(), covariances[:, 1, 1], strict=True)
-        )
-        known = replace(known, gauge_candidates=(shapes_alone, file))
-        sigma = _sigma_of_mean(known, both)
-        gauge = Quantity.normal(both.value, sigma, f"{source}; {file.source}")
-        known = replace(known, gauge=gauge)
-        wider = sigma / both.sigma
-    else:
+    if found.vented is not None:
         source = f"{source}; the gauge pressure from {file.source}"
+        return _with_parameters(known, values[1], covariances[1], 1.0, source)
+    shapes_alone, both = (
+        Quantity.normal(file.value * share, file.value * float(np.sqrt(square)), source)
+        for share, square in zip(values[:, 1].tolist(), covariances[:, 1, 1], strict=True)
+    )
+    known = replace(known, gauge_candidates=(shapes_alone, file))
+    sigma = _sigma_of_mean(known, both)
+    gauge = Quantity.normal(both.value, sigma, f"{source}; {file.source}")
+    wider, known = sigma / both.sigma, replace(known, gauge=gauge)
+    return _with_parameters(known, values[1], covariances[1], wider, source)
+
+
+def _with_parameters(
+    known: Identification,  # with the gauge pressure found
+    values: np.ndarray,  # (6,), q, G over the initial one, share and gradient
+    covariance: np.ndarray,  # (6, 6)
+    wider: float,  # σ of the gauge pressure found over that of the covariance
+    source: str,
+) -> Identification:
+    """The same with the parameters of the rubber, or the reason why λ is not determined.
+
+    λ counts as determined unless its interval at the gauge pressure found holds 1. One that holds
+    constant tension ends at the largest λ: rubber of the best λ is nearer to the truth than that.
+    The interval follows that of G along the valley of shapes that fit almost as well. The valley
+    lies between straight lines in G and in log G: on an oval of uneven thickness, from 3 to 10 kPa,
+    dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37. The end of q by
+    each end of G is the farther of both.
+    """
+    kind, q, surfaces = known.shapes_kind, float(values[0]), known.surfaces
+    slope = float(covariance[0, 1] / covariance[1, 1])  # of q over G, in the valley
+    at_gauge = HALF_95 * float(np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0)))
     if q < 1.01 * SMALLEST_Q:
         return replace(known, why_not=f"the {kind} fit a constant tension best")
     if q + at_gauge >= 1.0:
         return replace(known, why_not=f"λ = 1 fits the {kind} as well")
-    # The valley lies between straight lines in G and in log G: on an oval of uneven thickness, from
-    # 3 to 10 kPa, dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37. The
-    # end of q by each end of G is the farther of both.
-    ends = np.maximum([known.gauge.low, known.gauge.high], _MIN_GAUGE * file.value)
-    over, other = ends / known.gauge.value, wider * at_gauge
-    by_gauge = slope * values[1, 1] * np.array([np.log(over[0]), over[1] - 1.0])
-    low = max(q - float(np.hypot(other, by_gauge.min())), SMALLEST_Q)
-    high = min(q + float(np.hypot(other, by_gauge.max())), LARGEST_Q)
-    value, low, high = (x ** (-1.0 / 6.0) for x in (q, high, low))
+    low, high = (end / known.gauge.value for end in (known.gauge.low, known.gauge.high))
+    by_gauge = slope * values[1] * np.array([np.log(max(low, _MIN_GAUGE)), high - 1.0])
+    least = max(q - float(np.hypot(wider * at_gauge, by_gauge.min())), SMALLEST_Q)
+    most = min(q + float(np.hypot(wider * at_gauge, by_gauge.max())), LARGEST_Q)
+    value, low, high = (x ** (-1.0 / 6.0) for x in (q, most, least))
     sigmas = np.sqrt(np.diag(covariance))
     # errors of the model may count more in the share, but it lies between 0 and 1
     sigmas[2] = min(sigmas[2], SHARE_SIGMA)
     rubber = {
-        name: Quantity.normal(float(values[1, k]), float(sigmas[k]), source)
-        for name, k in zip(RUBBER_PARAMETERS, _RUBBER, strict=True)
+        name: Quantity.normal(float(values[k]), float(sigmas[k]), source).possible(*limits)
+        for (name, limits), k in zip(RUBBER_PARAMETERS.items(), _RUBBER, strict=True)
     } | {"prestretch": Quantity(value, low, high, source)}
-    if found.surfaces.chosen == "sphere" or found.surfaces.flat_sheet is None:
+    if surfaces.chosen == "sphere" or surfaces.flat_sheet is None:
         del rubber["sheet_share"]
-    return replace(known, fitted_rubber=rubber, why_not="")
+    return replace(known, rubber=rubber, why_not="")
 
 
 def _sigma_of_mean(known: Identification, mean: Quantity) -> float:

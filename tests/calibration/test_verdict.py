@@ -127,7 +127,7 @@ def test_the_interval_of_a_low_gauge_pressure_shows_its_ends(ball):
 
 def test_stiffness_gradients_are_shown_with_their_sign(ball):
     along_x = Quantity.normal(-0.12, 0.05, "levels")
-    row = parameters(replace(ball, fitted_rubber={"stiffness_gradient_x": along_x}))[-1]
+    row = parameters(replace(ball, rubber={"stiffness_gradient_x": along_x}))[-1]
     assert row["name"] == "stiffness gradient x"
     assert row["value"] == "-0.12, 95 % interval -0.22 to -0.02"
 
@@ -135,8 +135,8 @@ def test_stiffness_gradients_are_shown_with_their_sign(ball):
 @pytest.mark.parametrize(("kind", "narrower"), [("press", "two other inf"), ("levels", "farther")])
 def test_stress_that_an_oval_rim_leaves_open_has_a_row_where_it_is_known(ball, kind, narrower):
     """Its interval is shown between those of a film, 0, and of a flat sheet, 1."""
-    share = Quantity.normal(0.46, 0.3, f"the {kind}")
-    found = replace(ball, fitted_rubber={"sheet_share": share}, shapes_kind=kind)
+    share = Quantity.normal(0.46, 0.3, f"the {kind}").possible(0.0, 1.0)
+    found = replace(ball, rubber={"sheet_share": share}, shapes_kind=kind)
     row = parameters(found)[-1]
     assert (row["name"], row["value"]) == ("sheet share", "0.46, 95 % interval 0.00 to 1.00")
     assert row["told_by"] == f"the {kind}" and narrower in row["narrower"]

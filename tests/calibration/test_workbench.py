@@ -151,7 +151,7 @@ def test_a_sensor_does_not_differ_from_itself(found, tmp_path):
 
 def test_comparison_has_intervals_of_both_sensors(found, tmp_path):
     stretch, gauge = Quantity(1.2, 1.15, 1.27), Quantity(2585.5, 2500.0, 2671.0)
-    found = replace(found, gauge=gauge, fitted_rubber={"prestretch": stretch})
+    found = replace(found, gauge=gauge, rubber={"prestretch": stretch})
     write_sensor(found, tmp_path / "own.toml")
     comparison = SensorComparison.of(load_sensor(tmp_path / "own.toml"), found)
     rows = {row.name: row for row in comparison.rows}
