@@ -22,7 +22,7 @@ from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import checked_pose
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings import AUTO, Frame, has_returns, metres
+from bubbleviz.recordings import AUTO, Frame, check_unit, metres
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, with_colour_delay
@@ -33,9 +33,6 @@ if TYPE_CHECKING:
 
 PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch", "pose"})
 """The pose is only computed with an object to track, pixels of the patch on first use."""
-_WRONG_UNIT = math.sqrt(10.0)
-"""Ratio of depths to depths of the membrane at rest beyond which they are in a wrong unit: the
-geometric mean of 1 and 10, the smallest wrong factor (0.1 mm taken for 1 mm)."""
 
 
 class Estimator:
@@ -175,7 +172,10 @@ class Estimator:
         found = FrameResult(self.solver.solve(frame), self._pipeline.model)
         self._unit_known = self._unit_known or found.estimate.trusted
         if not self._unit_known:
-            self._check_unit(frame.depth_m)
+            model = self._pipeline.model
+            rest_m = model.view.rest_range / model.camera.range_per_depth
+            remedy = "give floats in m or integers in mm"
+            check_unit("depth", frame.depth_m, rest_m, remedy)
         self._count += 1
         return found
 
@@ -230,20 +230,6 @@ class Estimator:
         camera = ColourCamera(self._pipeline.camera.intrinsics)
         image = ColourImage(lambda: encoded, camera=camera)
         return lambda _: image
-
-    def _check_unit(self, depth_m: np.ndarray) -> None:
-        """Raise InputError if no image is usable so far and depths look like a wrong unit."""
-        if not has_returns(depth_m):
-            return
-        model = self._pipeline.model
-        median_m = float(np.nanmedian(depth_m))
-        rest_m = float(np.nanmedian(model.view.rest_range / model.camera.range_per_depth))
-        if not 1.0 / _WRONG_UNIT < median_m / rest_m < _WRONG_UNIT:
-            raise InputError(
-                f"depth: {median_m:.3g} m in the median, but the membrane of sensor "
-                f"{self._sensor.name} is {rest_m:.3g} m from the camera; give floats in m or "
-                "integers in mm, and the sensor file of this camera"
-            )
 
 
 def refuse_frictionless_shear(pipeline: Pipeline) -> None:

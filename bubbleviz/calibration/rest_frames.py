@@ -17,6 +17,7 @@ from bubbleviz.recordings import (
     MIN_FRAMES,
     DepthStatistics,
     FrameSource,
+    check_unit,
     measure_depth,
     robust_sigma,
     upper_fence,
@@ -27,8 +28,6 @@ from bubbleviz.wording import count_of
 MAX_FRAMES = 150  # of more frames, evenly spaced ones are used: the rest only cost memory
 
 _TRACED_PIXELS = 5_000  # of each frame: noise of 0.1 mm then moves a fitted sphere by some 4 µm
-_WRONG_UNIT = np.sqrt(10.0)  # geometric mean of 1 and a factor of ten
-
 
 @dataclass(frozen=True)
 class FrameSamples:
@@ -82,7 +81,9 @@ def collect(
         if number == 0:
             depth = np.empty((len(chosen), *frame.depth_m.shape), np.float32)
             camera = DepthCamera.of(sensor.camera, frame.intrinsics)
-            _check_unit(source.name, frame.depth_m, sensor, camera)
+            rest_m = camera.local(build_mesh(sensor).nodes)[:, 2]
+            remedy = "record 16UC1 in millimetres or 32FC1 in metres"
+            check_unit(f"{source.name}: depth", frame.depth_m, rest_m, remedy)
         if frame.depth_m.shape != depth.shape[1:]:
             raise InputError(
                 f"{source.name}: frame {k} has another image size than frame {chosen[0]}; record "
@@ -104,21 +105,6 @@ def collect(
         camera=camera,
         statistics=statistics,
     )
-
-
-def _check_unit(name: str, depth_m: np.ndarray, sensor: Sensor, camera: DepthCamera) -> None:
-    """Refuse depths whose scale differs from the sensor file's by a power of ten (mm for m)."""
-    valid = depth_m[np.isfinite(depth_m)]
-    if not valid.size:
-        return  # measure_depth raises an error if this holds for all frames
-    drawn = camera.local(build_mesh(sensor).nodes)[:, 2]
-    measured, expected = float(np.median(valid)), float(np.median(drawn))
-    if not expected / _WRONG_UNIT < measured < expected * _WRONG_UNIT:
-        raise InputError(
-            f"{name}: the median depth is {measured:.3g} m, but in the sensor file the membrane is"
-            f" {expected:.3g} m from the camera; record 16UC1 in millimetres or 32FC1 in metres, or"
-            " choose the sensor file of this camera"
-        )
 
 
 # Pixel selection: which pixels to use, with the bias and noise of each.

@@ -76,6 +76,7 @@ from .mcap_file import (
 from .message_decoding import (
     COMPRESSED as COMPRESSED,
     begins_as_cdr as begins_as_cdr,
+    check_unit as check_unit,
     decode_cloud as decode_cloud,
     decode_depth as decode_depth,
     decode_intrinsics as decode_intrinsics,

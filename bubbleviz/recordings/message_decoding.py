@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.camera import MAX_SIDE, DistortionModel, Intrinsics, check_rows
+from bubbleviz.errors import InputError
 
 DEPTH_ENCODINGS: dict[str, np.dtype[Any]] = {
     "16UC1": np.dtype(np.uint16),
@@ -120,6 +121,28 @@ def metres(raw: np.ndarray, unit_m: float) -> np.ndarray:
 def has_returns(depth_m: np.ndarray) -> bool:
     """Whether any pixel of a depth image (H, W) has a return: a covered camera has none."""
     return bool(np.isfinite(depth_m).any())
+
+
+_WRONG_UNIT = np.sqrt(10.0)
+"""Ratio of depths to those of the membrane at rest beyond which they are in a wrong unit: the
+geometric mean of 1 and 10, the smallest wrong factor (0.1 mm taken for 1 mm)."""
+
+
+def check_unit(
+    name: str,
+    depth_m: np.ndarray,  # (H, W)
+    rest_m: np.ndarray,  # depths of the membrane at rest; NaN: none
+    remedy: str,
+) -> None:
+    """Raise InputError if depths look like a wrong unit; not if there are none."""
+    if not has_returns(depth_m):
+        return
+    measured, rest = float(np.nanmedian(depth_m)), float(np.nanmedian(rest_m))
+    if not 1.0 / _WRONG_UNIT < measured / rest < _WRONG_UNIT:
+        raise InputError(
+            f"{name}: {measured:.3g} m in the median, but the membrane of the sensor file is "
+            f"{rest:.3g} m from the camera; {remedy}, or choose the sensor file of this camera"
+        )
 
 
 def decode_intrinsics(message: Any) -> Intrinsics | None:
