@@ -38,7 +38,7 @@ class Validation:
     # model and by the estimate
     predicted_patch: np.ndarray
     measured_patch: np.ndarray
-    # predicted_force_n, measured_force_n: (3,), on the membrane in B
+    # predicted_force_n, measured_force_n: (3,), on the membrane in B; NaN if the estimate failed
     predicted_force_n: np.ndarray
     measured_force_n: np.ndarray
 
@@ -78,9 +78,9 @@ class Validation:
                 "frames, or the sensor file of this camera"
             )
         result = Pipeline(model).process(frame, frozenset({"patch", "pixel_mask"}))
-        estimated, force = np.zeros_like(truth.patch_mask), np.zeros(3)
-        if result.patch is not None and result.patch.pixel_mask is not None:
-            estimated, force = result.patch.pixel_mask, result.patch.force_n
+        estimated, force = np.zeros_like(truth.patch_mask), np.full(3, np.nan)
+        if (patch := result.trusted_patch) is not None and patch.pixel_mask is not None:
+            estimated, force = patch.pixel_mask, patch.force_n
         return cls(
             points_m=model.camera.points_at(measured, np.flatnonzero(np.isfinite(distance))),
             distance_m=distance,
@@ -102,10 +102,15 @@ class Validation:
         return float(np.nanpercentile(np.abs(self.distance_m), 95.0))
 
     @property
+    def estimated(self) -> bool:
+        """Whether the estimate did not fail."""
+        return bool(np.isfinite(self.measured_force_n).all())
+
+    @property
     def patch_overlap(self) -> float:
-        """Intersection over union of both patches; NaN where both are empty."""
+        """Intersection over union of both patches; NaN without one, or if the estimate failed."""
         patches = self.predicted_patch, self.measured_patch
-        return iou(*patches) if np.any(patches) else float("nan")
+        return iou(*patches) if self.estimated and np.any(patches) else float("nan")
 
     @property
     def failures(self) -> tuple[str, ...]:
@@ -128,7 +133,9 @@ class Validation:
             f"predicted and estimated patch overlap by {100 * overlap:.0f} % (at least "
             f"{100 * LEAST_OVERLAP:.0f} % expected)"
         )
-        if np.isnan(overlap):
+        if not self.estimated:
+            patches = "the estimate of these frames failed, so that there is no patch to compare"
+        elif np.isnan(overlap):
             patches = "neither prediction nor estimate has a contact patch"
         return (
             (

@@ -1,5 +1,7 @@
 """A known press, predicted by a right sensor file and by wrong ones."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -61,6 +63,13 @@ def test_wrong_pose_is_detected(model, press):
     wrong = Validation.of(model, [press[11]], press.obj, shifted)
     assert wrong.rms_m > 2.0 * right.rms_m
     assert wrong.patch_overlap < right.patch_overlap
+
+
+def test_a_failed_estimate_has_no_force(model, press):
+    elsewhere = replace(press[11], depth_m=1.6 * press[11].depth_m)
+    found = Validation.of(model, [elsewhere], press.obj, press.poses[11])
+    assert np.isnan(found.measured_force_n).all() and np.isnan(found.patch_overlap)
+    assert "estimate of these frames failed" in found.failures[-1]
 
 
 def test_several_frames_average_their_noise(model, press):
