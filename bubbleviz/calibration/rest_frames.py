@@ -29,6 +29,7 @@ MAX_FRAMES = 150  # of more frames, evenly spaced ones are used: the rest only c
 
 _TRACED_PIXELS = 5_000  # of each frame: noise of 0.1 mm then moves a fitted sphere by some 4 µm
 
+
 @dataclass(frozen=True)
 class FrameSamples:
     """Frames of one camera with the membrane at rest, or in one steady press.
