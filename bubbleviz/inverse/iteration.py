@@ -11,7 +11,6 @@ from bubbleviz.inverse.friction import WIDEST, contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import (
     LARGE_MOTION,
     MAX_STEP,
-    TANGENT_REUSE,
     GaussNewton,
     Hyperparameters,
     State,
@@ -33,8 +32,9 @@ _CONVERGED_MOTION, _CONVERGED_FORCE, _MAX_SETTLING = 0.05, 0.1, 2
 """A frame has converged when a step moves its nodes by less than the first over the mesh edge, and
 changes no component of its force by more than the second over its standard deviation: an error of a
 tenth adds 0.5 % to it. Steps that are as short do not always shrink: at most so many more. From a
-warm start, one step suffices if that is all that its linearisation missed, and the noise factor is
-that of the frame before, or its neighbour: with another one, contact and friction have changed."""
+warm start, one step that short suffices if its linearisation missed no more of the force, and the
+noise factor is that of the frame before, or its neighbour: with another one, contact and friction
+have changed. A longer one has the friction of the frame before, and areas that differ by 10 %."""
 _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
 `MAX_STEP`: a frame that has not converged by then contradicts the model."""
@@ -167,7 +167,7 @@ class Iteration:
         self._newton, self._data = newton, data
         edge = newton.mesh.edge_length
         self._converged_m = _CONVERGED_MOTION * edge
-        self._reuse_m, self._large_m = TANGENT_REUSE * edge, LARGE_MOTION * edge
+        self._large_m = LARGE_MOTION * edge
         self._cut_m = 0.9 * MAX_STEP * edge
         # A contact of a single node tells too little of shape and friction to start from, but with
         # optical flow it is kept: the support is not selected then
@@ -316,7 +316,7 @@ class Iteration:
         if self._near and self._image_shows_rest:
             self._image_shows_rest = newton.shows_rest(observed, step.contact.pressure)
         follows = first and are_neighbours(step.hyperparameters.noise, self._start_noise)
-        if follows and not converged and step.state.balanced and motion <= self._reuse_m:
+        if follows and not converged and step.state.balanced and motion <= self._converged_m:
             self._following = self._observe()
             converged = self._was_linear(step, observed, self._following)
         return converged and fit_image == (self._near and self._image_shows_rest)

@@ -137,12 +137,12 @@ def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(punyo_press):
     assert force_of(pipeline.process(frame, PATCH)) == pytest.approx(alone, rel=0.01)
 
 
-def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
+def test_a_frame_of_the_real_onset_has_one_force_and_area(punyo_press):
     """Alone, after its predecessor or successor, and again from its own solution."""
     with Recording(punyo_press) as recording:
         pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), recording.intrinsics)
         zeros = zeros_of(recording, pipeline)
-        frames = {k: zeros.applied(recording[k]) for k in range(61, 68)}
+        frames = {k: zeros.applied(recording[k]) for k in range(61, 69)}
 
     def found(*way):
         pipeline.restart()
@@ -153,6 +153,7 @@ def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
         forces, own = [force_of(each) for each in ways], ways[0].estimate.force_n
         sigma = np.sqrt(own @ ways[0].estimate.wrench_covariance[:3, :3] @ own) / forces[0]
         assert max(forces) - min(forces) < max(0.01 * forces[0], 0.25 * sigma)
+    assert area_of(found(67, 68)) == pytest.approx(area_of(found(68)), rel=0.03)
 
 
 def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
