@@ -1,7 +1,7 @@
 """Files by the dialogs, typed as a person would: nothing is replaced unasked."""
 
 from fakes import DentSource, record
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QFileDialog
 from window_driver import answer_file_dialog
@@ -13,6 +13,7 @@ from bubbleviz_ui.model.settings import Settings
 def test_dialogs_ask_before_replacing_add_suffixes_remember_folders_and_leave_space_to_play(
     drive, sensor, tmp_path, monkeypatch
 ):
+    QSettings("bubbleviz", "folders").clear()  # as of a new user
     driver, precious = drive(), tmp_path / f"look{SESSION_SUFFIX}"
     actions = driver.window.shortcuts.actions
     precious.write_text("precious")
