@@ -71,7 +71,8 @@ class StillFrames:
         times_s = np.array([frame.time_s, *(each.time_s for each in around)])
         weights = _weights(times_s)
         mean = _mean(frame.depth_m, [each.image.depth_m for each in around], weights[1:])
-        noise = float(np.linalg.norm(weights))
+        of_recording = self._both_sides and self._source is not None
+        noise = float(np.linalg.norm(weights)) if of_recording else 1.0
         return replace(frame, mean_depth_m=mean, images=1 + len(around), mean_noise=noise)
 
     def _sides(self, frame: Frame) -> tuple[Iterable[int], ...]:

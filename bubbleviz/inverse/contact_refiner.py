@@ -32,11 +32,12 @@ from bubbleviz.sensor_model import SensorModel
 
 _SENSOR_LIMIT, _FRAME_LIMIT = 0.42, 0.65
 """Resolution at the noise of an image, in mesh edges, below which the mesh limits its patch; and
-that at the noise factor of its frame, up to which it is refined. Chosen on presses of
-14 objects: they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or nothing from 0.45 on,
-those into rubber up to 0.6 of the latter. Shipped sensors are not refined; identified ones of up to
-0.15 mm of noise are. On a dome pressed by another solver (0.05 mm), 1,000 nodes have an IoU of 0.96
-with refinement and 0.89 without, where 3,000 nodes have 0.95 and take six times as long.
+that at the noise factor of its frame, up to which it is refined. Chosen on presses of 14 objects:
+they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or nothing from 0.45 on, those into
+rubber up to 0.6 of the latter. Single images of shipped sensors are not refined, those of
+identified ones of up to 0.15 mm of noise are. On a dome pressed by another solver (0.05 mm), 1,000
+nodes have an IoU of 0.96 with refinement and 0.89 without, where 3,000 nodes have 0.95 and take six
+times as long.
 """
 _MOST_NODES, _MOST_TWICE = 100, 12
 """Most nodes of a contact that is refined, and refined twice: the time grows with the square of the

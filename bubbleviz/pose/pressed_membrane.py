@@ -109,10 +109,10 @@ def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 
 
 def _cores(model: ObjectSurface, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Ways (k, 3) from the centre of a rounding of unit radius to points (k, 3) of the surface.
+    """Vectors (k, 3) from the centre of a rounding of unit radius to points (k, 3) of the surface.
 
-    By the mean of the normals (k, 2, 3) of a sharp edge, elsewhere of those around: of a flat place
-    it is the normal, of an edge that is rounded already the shorter the narrower.
+    The unit normal on flat faces, longer at a sharp edge, between the two where an edge is rounded
+    already: by the mean of the normals (k, 2, 3) of a sharp edge, elsewhere of those around.
     """
     mean = normals.mean(axis=1)
     count = min(_MAX_TRIES, int(_NEAR * model.area_m2 / ROUNDING_M**2) + _NEAR)

@@ -131,6 +131,10 @@ def test_the_mean_of_images_of_an_object_at_rest_is_refined_as_one_of_its_noise(
         mask = pipe.process(frame, PRODUCTS).patch.pixel_mask
         overlaps.append(np.count_nonzero(mask & truth) / np.count_nonzero(mask | truth))
     assert overlaps[1] > overlaps[0] + 0.1
+    refined, live = pipe.counts["fine_contact"], StillFrames(pipe)
+    *_, last = map(live.applied, frames)
+    assert last.images == 6 and not pipe.process(last, PRODUCTS).estimate.fine
+    assert pipe.counts["fine_contact"] == refined  # live, the rate counts
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -210,7 +214,7 @@ def test_noisy_camera_and_threshold_of_the_paper_use_the_mesh_of_the_sensor(rela
 
 @pytest.mark.parametrize("name", preset_names("sensors"))
 @pytest.mark.parametrize("solver", [None, "linear"])
-def test_shipped_sensors_have_no_refinement_cost(name, solver):
+def test_single_images_of_shipped_sensors_are_not_refined(name, solver):
     pipe = Pipeline.of(load_sensor(name), options=EstimatorOptions.named(solver))
     assert not mesh_limits(pipe.estimator)
 

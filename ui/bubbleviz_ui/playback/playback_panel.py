@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QAction, QKeySequence, QResizeEvent
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QToolButton,
@@ -19,7 +20,7 @@ from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell.binding import control
 from bubbleviz_ui.shell.dock import Steady, fill
-from bubbleviz_ui.shell.shortcuts import STEP
+from bubbleviz_ui.shell.shortcuts import STEP, Shortcuts
 
 PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
@@ -72,15 +73,20 @@ class PlaybackPanel(QWidget):
                         state.markers_changed):  # fmt: skip
             changed.connect(self._show_all)
 
-    def use_actions(self, actions: Mapping[str, QAction]) -> None:
+    def use_actions(self, shortcuts: Shortcuts) -> None:
         """Have the buttons do, show and tell what the menu's actions do."""
         for name, button in self.buttons.items():
-            action = actions[f"Playback{STEP}{name}"]
-            keys = action.shortcut().toString(QKeySequence.SequenceFormat.NativeText)
+            action = shortcuts.actions[f"Playback{STEP}{name}"]
             action.setIconText({**MOVES, **MODES}[name])
-            action.setToolTip(f"{name} ({keys})")
             button.setDefaultAction(action)
+        self._tell_keys(shortcuts)
+        shortcuts.edited.connect(partial(self._tell_keys, shortcuts))
         self._show_all()
+
+    def _tell_keys(self, shortcuts: Shortcuts) -> None:
+        for name, button in self.buttons.items():
+            keys = shortcuts.keys(f"Playback{STEP}{name}")
+            button.defaultAction().setToolTip(f"{name} ({keys})" if keys else name)
 
     def _lay_out(self) -> None:
         moves = [self.buttons[name] for name in MOVES]

@@ -158,7 +158,9 @@ class PoseSession(QObject):
         self.busy = False  # A single fit is running
         self.problem = ""  # Why the chosen object was rejected
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
-        self.others: list[np.ndarray] = []  # (4, 4) each, that fit as well as the one searched
+        # (4, 4) each, that fit as well as the one searched in the frame of that index
+        self.others: list[np.ndarray] = []
+        self._searched: int | None = None
         controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
         self._state.source_changed.connect(self._on_source)
@@ -227,7 +229,7 @@ class PoseSession(QObject):
         """Restore poses and tracking, unless another source is open."""
         if found.session is not self._controller.client.session:
             return
-        pose, self.rows = found.pose, dict(found.rows)
+        pose, self.rows, self.others = found.pose, dict(found.rows), []
         self.pose, start = pose, self.start
         if found.track and has_pose(pose):
             start = pose.T_B_O
@@ -302,7 +304,7 @@ class PoseSession(QObject):
     ) -> None:
         if self.obj is None or requested != self._loaded:  # keep the identity of the same object
             self.obj, self._loaded = obj, requested
-            self.pose, self.rows = None, {}  # of the former object, solved meanwhile
+            self.pose, self.rows, self.others = None, {}, []  # of the former object
         if fitted:
             self.busy = False
         self.changed.emit()
@@ -318,9 +320,16 @@ class PoseSession(QObject):
         self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
+        index = result.frame.index
+        stale = bool(self.others) and index != self._searched
+        if stale:
+            self.others = []
         if result.pose is None or result.pose is self.pose:
+            if stale:
+                self.changed.emit()
             return
         self.pose = result.pose
-        self.others = [*result.pose.others] or self.others
-        self.rows[result.frame.index] = pose_row(result)
+        if len(result.pose.others):
+            self.others, self._searched = [*result.pose.others], index
+        self.rows[index] = pose_row(result)
         self.changed.emit()
