@@ -126,7 +126,7 @@ def refuse_existing(
 
 
 def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
-    """Raise InputError if an output would replace what is read, a part of it, or its folder.
+    """Raise InputError if an output would replace what is read, a recording in it, or its folder.
 
     Each may be None, for none.
     """
@@ -134,7 +134,7 @@ def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
         if output is None or each is None:
             continue
         written, original = Path(output).resolve(), Path(each).resolve()
-        inside = original in written.parents and written.exists()
+        inside = original in written.parents and written.suffix == ".mcap" and written.exists()
         if inside or written == original or written in original.parents:
             what = f"a part of {each}" if inside else each
             raise InputError(f"{output}: would replace {what}, which is read; choose another name")

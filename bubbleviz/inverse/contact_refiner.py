@@ -49,9 +49,6 @@ _STEPS = 2
 """Gauss–Newton steps: the first with the noise factor of the estimate, which includes errors of its
 mesh; the second with that by the residual of the first, without smooth errors. After two
 refinements one more: that residual still has errors of the first mesh."""
-_SMOOTH_DEGREE = 7
-"""Of the polynomials of smooth errors: they are as many as the squares of an image, within which
-errors of a model are alike (`camera.SQUARES`)."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ class _Part:
     observer : RangeObserver
     bubble : Bubble
     prior : Prior
-    smooth : (b, s) array
+    smooth : (b, 6) array
         See `_smooth_errors`.
     resolution_m : float
         At the noise of the camera.
@@ -220,15 +217,15 @@ class ContactRefiner:
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
         beyond_m = np.sqrt(max(noise**2 - mean_noise**2, 0.0)) * self._mean_sigma_m
-        errors = part.smooth if beyond_m > 0.0 else part.smooth[:, :0]
+        root = beyond_m * np.eye(part.smooth.shape[1])
         for _ in range(_STEPS + part.twice):
             view = observer.around(x, view)
             expected = view.model_m + off_m
             observation = observer.weigh(measured, expected)
             error = observation.residual_m[view.block] - expected[view.block]
             weight = observation.weight[view.block] / noise**2
-            smooth = Nuisances.joined([], errors[view.block], len(x))
-            smooth = replace(smooth, root=beyond_m * np.eye(errors.shape[1]))
+            smooth = Nuisances.joined([], part.smooth[view.block], len(x))
+            smooth = replace(smooth, root=root)
             ranges = Measurements(view.jacobian, error, weight, smooth)
             if response is None or float(np.abs(x - response.x).max()) > self._reuse_m:
                 response = bubble.linearised(x, pressure, gas)
@@ -269,7 +266,7 @@ def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:
 
 
 def _smooth_errors(observer: RangeObserver) -> np.ndarray:
-    """Range errors (b, s) of the blocks of a part: orthogonal polynomials over the image, rms 1.
+    """Range errors (b, 6) of the blocks of a part: polynomials of second degree over the image.
 
     Errors of the model around a contact, such as of the stress in an oval membrane, are smooth.
     Taken for noise they would blur the contact. Their prior is what the noise factor of the
@@ -278,6 +275,4 @@ def _smooth_errors(observer: RangeObserver) -> np.ndarray:
     forward, *tilts = observer.image_errors[:, :3].T
     across = [tilt / np.where(forward > 0.0, forward, 1.0) for tilt in tilts]
     a, b = ((tilt - tilt.mean()) / tilt.std() for tilt in across)
-    powers = [(n - k, k) for n in range(_SMOOTH_DEGREE + 1) for k in range(n + 1)]
-    basis, _ = np.linalg.qr(np.stack([a**i * b**j for i, j in powers], axis=1))
-    return np.sqrt(len(a)) * np.asarray(basis)
+    return np.stack([np.ones_like(a), a, b, a * a, a * b, b * b], axis=1)
