@@ -647,10 +647,10 @@ def _with_parameters(
 
     λ counts as determined unless its interval at the gauge pressure found holds 1. One that holds
     constant tension ends at the largest λ: rubber of the best λ is nearer to the truth than that.
-    The interval follows that of G along the valley of shapes that fit almost as well. The valley
-    lies between straight lines in G and in log G: on an oval of uneven thickness, from 3 to 10 kPa,
-    dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37. The end of q by
-    each end of G is the farther of both.
+    The gauge pressure G and q, by which λ is told, can change together and fit almost as well:
+    along a curve between straight lines in G and in log G (on an oval of uneven thickness, from 3
+    to 10 kPa, dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37). So each
+    end of the interval of q is by the line that is farther away.
     """
     kind, q, surfaces = known.shapes_kind, float(values[0]), known.surfaces
     slope = float(covariance[0, 1] / covariance[1, 1])  # of q over G, in the valley

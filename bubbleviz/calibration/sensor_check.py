@@ -291,8 +291,8 @@ class _RestComparison:
     def causes(self) -> tuple[int, ...]:
         """Numbers of the causes, all of them beyond their intervals and limits.
 
-        Of as many as possible those that together leave the least, until no more is left than
-        noise leaves on average; none where the change is not significant.
+        None where the change is not significant. Else causes are added until χ² per block is at
+        most 1, that of noise: of each number of causes those with the least χ².
         """
         chosen: tuple[int, ...] = ()
         if self.chi2 <= self.chi2_limit:
@@ -353,7 +353,7 @@ class _RestComparison:
         varied, time = influence @ self.frames_m.T, np.linspace(-1.0, 1.0, len(self.frames_m))
         varied -= np.outer(varied @ time, time) / (time @ time)
         errors = [
-            np.array([[error_of_mean(each)] for each in varied]),
+            np.array([[error_of_mean(each, fitted=2)] for each in varied]),
             tile_errors(influence.T, left_m, squares, len(causes)).T,
             jackknife_errors(lambda kept: self._influence(causes, kept) @ left_m, self._ring).T,
             material * (of_gas @ sizes) * influence @ self._by_gas[1].T,

@@ -136,7 +136,7 @@ def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
         written, original = Path(output).resolve(), Path(each).resolve()
         inside = original in written.parents and written.suffix == ".mcap" and written.exists()
         if inside or written == original or written in original.parents:
-            what = f"a part of {each}" if inside else each
+            what = f"a recording in {each}" if inside else each
             raise InputError(f"{output}: would replace {what}, which is read; choose another name")
 
 

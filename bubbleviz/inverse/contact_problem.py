@@ -604,7 +604,7 @@ class ContactProblem:
 
 
 _CELL = 0.5 * sqrt(3.0)
-"""Area of a node's cell in squares of the edges around it, of equilateral triangles."""
+"""Area of a node's cell over the squared length of its edges, in equilateral triangles."""
 
 
 def touching_parts(
@@ -617,7 +617,7 @@ def touching_parts(
     """Parts of a support (n,) bool whose peak pressure is at least that of a body that touches.
 
     A convex body carries `least_pa` or more, p. A load F that is spread evenly at p over a disc and
-    blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))). ℓ is that of the mesh where the part is.
+    blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))). ℓ is at least half the edge length there.
     """
     least_pa = max(least_pa, 1e-3)  # without gas pressure everything touches
     count, part = connected_parts(mesh.rings, support)

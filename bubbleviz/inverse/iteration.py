@@ -31,10 +31,11 @@ from bubbleviz.result import FlowFit, Status
 _CONVERGED_MOTION, _CONVERGED_FORCE, _MAX_SETTLING = 0.05, 0.1, 2
 """A frame has converged when a step moves its nodes by less than the first over the mesh edge, and
 changes no component of its force by more than the second over its standard deviation: an error of a
-tenth adds 0.5 % to it. Steps that are as short do not always shrink: at most so many more. From a
-warm start, one step that short suffices if its linearisation missed no more of the force, and the
-noise factor is that of the frame before, or its neighbour: with another one, contact and friction
-have changed. A longer one has the friction of the frame before, and areas that differ by 10 %."""
+tenth adds 0.5 % to it. Steps that are as short do not always shrink: at most so many more. After
+a warm start a single step of that length is enough if the error of its linearisation changes the
+force by no more than that, and the noise factor is that of the frame before, or its neighbour: with
+another one, contact and friction have changed. Longer first steps still have the friction of the
+frame before, and areas up to 10 % off."""
 _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
 """Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
 `MAX_STEP`: a frame that has not converged by then contradicts the model."""

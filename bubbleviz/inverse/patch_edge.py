@@ -299,7 +299,8 @@ def _contour(
     """Field that changes sign at half the pressure inside, on parts connected to the outside.
 
     Lower pressure behind a ridge is not connected to the outside, or only through a gap in the
-    ridge: farther inside than `rings`, where a blurred step has its height, it is inside the patch.
+    ridge. Nodes more than `rings` from the outside, where a blurred step has reached its full
+    height, belong to the patch.
     """
     level = np.maximum(floor, 0.5 * inside_pressure)
     flank = ~outside & (p < level) & (region.maximum(outside.astype(float), rings) > 0.5)

@@ -28,8 +28,8 @@ _NICENESS = 10
 """Lower priority than the window's: with two cameras on two cores, this is blocked for up to 42
 instead of 59 ms (99 of 100), at the same rate of solved frames."""
 
-_FOUND = ("images", "gas_pressure_pa", "gas_sigma_pa")
-"""What solving changes in a frame: the number of images averaged, and an uncertain gas pressure."""
+_FOUND = ("images", "mean_noise", "gas_pressure_pa", "gas_sigma_pa")
+"""What solving changes in a frame: images averaged, their noise, and an uncertain gas pressure."""
 
 
 class PipelineProcess:

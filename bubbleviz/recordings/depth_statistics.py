@@ -56,19 +56,20 @@ def mean_inflation(rho: np.ndarray) -> float:
     return 1.0 + 2.0 * float(np.sum(rho[1 : _first_not_positive(rho)]))
 
 
-def error_of_mean(series: np.ndarray) -> float:
+def error_of_mean(series: np.ndarray, fitted: int = 1) -> float:
     """Standard error of the mean of a series (F,) whose values are correlated.
 
     Widened by Student's quantile over the normal one for its effective number of values, so that
-    1.96 of it are a 95 % interval.
+    1.96 of it are a 95 % interval. `fitted` parameters were subtracted from it; 1: the mean alone.
     """
     centred, frames = series - series.mean(), len(series)
     if not centred.any():
         return 0.0
     lags = range(max(1, frames // 2))
     covariance = np.array([np.mean(centred[k:] * centred[: frames - k]) for k in lags])
-    effective = max(2.0, frames / mean_inflation(_unbiased(covariance, frames)))
-    return float(np.sqrt(covariance[0] / (effective - 1.0))) * student_factor(effective - 1.0)
+    effective = max(1.0 + fitted, frames / mean_inflation(_unbiased(covariance, frames)))
+    freedom = effective - fitted
+    return float(np.sqrt(covariance[0] / freedom)) * student_factor(freedom)
 
 
 def student_factor(freedom: float) -> float:

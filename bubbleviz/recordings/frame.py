@@ -57,8 +57,8 @@ class Frame:
     images : int
         Number of depth images in that mean.
     mean_noise : float
-        Standard deviation of its noise over that of one image. Of a stream, where the images before
-        leave 0.7 at least, it is taken as 1: refining the contact would halve the rate.
+        Standard deviation of the mean image's noise over that of one image, if the noise of images
+        is independent. 1 in a stream, where the mean is not refined for the sake of the rate.
     """
 
     index: int

@@ -1,4 +1,4 @@
-"""Prediction of a press of a known object at a known pose, against frames of it."""
+"""Comparison of a predicted press (known object and pose) with frames of it."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ class Validation:
     # model and by the estimate
     predicted_patch: np.ndarray
     measured_patch: np.ndarray
-    # predicted_force_n, measured_force_n: (3,), on the membrane in B; NaN if the estimate failed
-    predicted_force_n: np.ndarray
-    measured_force_n: np.ndarray
+    predicted_force_n: np.ndarray  # (3,), on the membrane in B
+    measured_force_n: np.ndarray  # (3,), the same by the estimate; NaN if that failed
 
     @classmethod
     def of(

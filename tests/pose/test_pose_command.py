@@ -105,6 +105,8 @@ def test_bad_input_is_one_line(folder, tmp_path):
     (folder / "there.csv").write_text("")
     flat = tmp_path / "flat.obj"
     flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
+    tiny = tmp_path / "tiny.stl"
+    trimesh.creation.box((0.002, 0.002, 0.002)).export(tiny)
     big = tmp_path / "big.obj"
     big.write_text("v 0 0 0\nv 60 0 0\nv 0 60 0\nv 0 0 60\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     cases = [
@@ -114,6 +116,8 @@ def test_bad_input_is_one_line(folder, tmp_path):
         (command(folder, "c.csv", "--init", "1 2"), "give seven numbers"),
         (command(folder, "d.csv", "--frames", "0:1"), "nothing touches the membrane"),
         (command(folder, "e.csv", obj="teapot"), "no such object"),
+        # of two frames, one has contact
+        (command(folder, "e.csv", "--frames", "0:2", obj=tiny), "does not fit the contact"),
     ]
     for words, said in cases:
         assert said in refusal(*words)

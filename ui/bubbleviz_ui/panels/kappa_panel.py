@@ -218,7 +218,7 @@ class KappaPlot(KappaAxisPlot):
             best = int(np.argmax(curve.iou))
             text += (
                 f' · <span style="color:{ORANGE}">κ {curve.kappa[best]:.1f}: best IoU '
-                f"{curve.iou[best]:.2f}</span>"  # last: cut in a narrow panel, κ would be another
+                f"{curve.iou[best]:.2f}</span>"  # κ first: the end may be cut off
             )
         self.write(text)
 

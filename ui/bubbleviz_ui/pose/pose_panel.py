@@ -229,7 +229,7 @@ class PosePanel(QWidget):
             session.fit_once,
         )
         self.other = push_button(
-            "", "Where the object was searched; if it is turned, fit from them", session.fit_other
+            "", "Other poses from the search that fit as well: fit the next one", session.fit_other
         )
         self.track = push_button("Track", Settings.info("pose_track").tip, session.track)
         self.reset = push_button(
