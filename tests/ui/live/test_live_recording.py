@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from live_bench import IMAGE, STRING, connected_bench, messages_by_type
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import QPoint, QSettings, Qt
 from PySide6.QtWidgets import QFileDialog
 from rosbags.highlevel import AnyReader
 from window_driver import SHIFT
@@ -20,6 +20,7 @@ from tests.live.streams import listens
 
 
 def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench, monkeypatch):
+    QSettings("bubbleviz", "folders").clear()  # as of a new user
     live = connected_bench(open_bench)
     live.window.live.record.button.click()
     live.wait(lambda: live.status().messages > 5)
