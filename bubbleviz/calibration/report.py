@@ -245,8 +245,8 @@ def _validation(found: Identification) -> dict[str, Any] | None:
         return None
     names = "rms_m", "p95_m", "untouched_rms_m", "patch_overlap"
     forces = "predicted_force_n", "measured_force_n"
-    numbers = {name: getattr(press, name) for name in names} | {"points": len(press.points_m)}
-    numbers["estimated"] = press.estimated
+    numbers = {name: getattr(press, name) for name in names}
+    numbers |= {"points": len(press.points_m), "estimated": press.estimated}
     if np.isnan(press.patch_overlap):
         numbers["patch_overlap"] = None
     return numbers | {name: getattr(press, name).tolist() for name in forces}

@@ -32,10 +32,7 @@ _TRACED_PIXELS = 5_000  # of each frame: noise of 0.1 mm then moves a fitted sph
 
 @dataclass(frozen=True)
 class FrameSamples:
-    """Frames of one camera with the membrane at rest, or in one steady press.
-
-    Without their images, which would take a hundred MB for each inflation level.
-    """
+    """Frames of one camera with the membrane at rest or in one steady press, without images."""
 
     source_name: str
     frames: tuple[int, ...]  # indices in the recording
@@ -95,13 +92,12 @@ def collect(
         progress("reading frames", (number + 1) / len(chosen))
     progress("measuring pixels", 0.0)
     statistics = measure_depth(depth, camera.range_per_depth)
-    traced, _ = traced_pixels(statistics)
     gas = np.array(pressures, float)  # NaN: not measured
     return FrameSamples(
         source_name=source.name,
         frames=tuple(chosen),
         last_depth_m=depth[-1].copy(),
-        traced_depth_m=depth.reshape(len(depth), -1)[:, traced],
+        traced_depth_m=depth.reshape(len(depth), -1)[:, traced_pixels(statistics)[0]],
         gas_pressure_pa=gas if np.isfinite(gas).all() else None,
         camera=camera,
         statistics=statistics,

@@ -295,16 +295,15 @@ class _RestComparison:
         most 1, that of noise: of each number of causes those with the least χ².
         """
         chosen: tuple[int, ...] = ()
-        if self.chi2 <= self.chi2_limit:
-            return chosen
-        while len(chosen) < len(_CAUSES) and self._chi2_without(chosen) > 1.0:
+        limit = self.chi2_limit
+        while len(chosen) < len(_CAUSES) and self._chi2_without(chosen) > limit:
             best = min(combinations(range(len(_CAUSES)), len(chosen) + 1), key=self._chi2_without)
             for cause in best:
                 # the material scales the effect of the gas, so it matters to its size only
                 size, half = self._size(cause, best, material=cause != _GAS)
                 if abs(size) <= max(half, self._limit(cause)):
                     return chosen
-            chosen = best
+            chosen, limit = best, 1.0
         return chosen
 
     def _limit(self, cause: int) -> float:
