@@ -214,8 +214,7 @@ class _RestComparison:
         spread = moved.std(axis=0)
         inflation = mean_inflation(temporal_correlation(moved[:, None], spread[None]))
         if self.model.pixels is None:
-            facets_m2 = np.maximum(self.frame_variance_m2 - noise_m2, 0.0)
-            return noise_m2 * inflation / len(moved) + facets_m2
+            return noise_m2 * inflation / len(moved) + self.observer.facet_error_m**2
         return noise_m2 * (inflation / len(moved) + 1.0 / MIN_FRAMES)
 
     def _detectable(self, pattern: float | np.ndarray, variance_m2: np.ndarray) -> float:

@@ -160,7 +160,7 @@ class RangeObserver:
     ) -> None:
         self.camera, self.mesh, self.block = camera, mesh, block
         self.columns = -(-camera.intrinsics.width // block)  # blocks in a row of the image
-        self._facet_error_m = facet_error(mesh)
+        self.facet_error_m = facet_error(mesh)
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
         self._group(caster.hits_on(mesh.nodes, seen), noise_relative, pixels)
@@ -180,7 +180,7 @@ class RangeObserver:
         gaussian = np.random.default_rng(0).standard_normal((rows, block**2))
         self._gaussian_scatter = float(median(_from_median(gaussian).ravel()))
         noise_m = np.median(1.0 / np.sqrt(self._total))
-        self.white = pixels is None and bool(noise_m > 2.0 * self._facet_error_m)
+        self.white = pixels is None and bool(noise_m > 2.0 * self.facet_error_m)
         """Whether residuals should be white: noise of the sensor file, above the mesh's error."""
         self._cast_blocks()
 
@@ -193,7 +193,7 @@ class RangeObserver:
                 image.ravel()[hits.ray] for image in (pixels.mask, pixels.bias_m, pixels.noise_m)
             )
             # Errors of flat facets are as correlated between pixels as a depth camera's noise.
-            noise = np.hypot(noise, self._facet_error_m) * np.sqrt(pixels.correlated_pixels)
+            noise = np.hypot(noise, self.facet_error_m) * np.sqrt(pixels.correlated_pixels)
         pixel = hits.ray[used]
         if not len(pixel):
             raise InputError(
@@ -437,7 +437,7 @@ class RangeObserver:
 
     def _weight(self, precision: np.ndarray, rounding: np.ndarray | float = 0.0) -> np.ndarray:
         """1/σ² of the block means: noise averages out over pixels, errors of facets do not."""
-        return precision / (1.0 + precision * (self._facet_error_m**2 + rounding))
+        return precision / (1.0 + precision * (self.facet_error_m**2 + rounding))
 
     def _visible_at_rest(self, hits: Hits) -> Hits:
         return hits.of(np.isfinite(self._rest_range[hits.ray]))
@@ -468,7 +468,7 @@ class RangeObserver:
         found = self._squares.noise_factor(block, error_m * np.sqrt(weight))
         if found >= 1.0:
             return found
-        facets = self._facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))
+        facets = self.facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))
         return max(facets, min(1.0, UPPER_95 * found))
 
     def around(

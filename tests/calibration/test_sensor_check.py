@@ -61,6 +61,17 @@ def test_the_same_sensor_raises_no_alarm(sensor):
         assert abs(found.bias_m) < 2e-5
 
 
+def test_a_camera_noisier_than_its_file_is_not_drift():
+    """The error of the flat facets of a sensor file without calibrated pixels is no change."""
+    sensor = load_sensor("pico_flexx_75mm")
+    sensor = changed(sensor, membrane={"nodes": 600}, camera={"noise_relative": 1e-3})
+    far = np.tile(np.eye(4), (REST, 1, 1))
+    far[:, 2, 3] = 0.3
+    frames = bv.simulate(sensor, "sphere", far, noise_relative=4e-3, seed=3)
+    found = bv.check([frames[k] for k in range(REST)], sensor)
+    assert found.verdict == "fits", found.reason
+
+
 def test_weather_is_not_drift(sensor, rest):
     frames = [replace(f, gas_pressure_pa=f.gas_pressure_pa + 1e3) for f in rest]
     found = bv.check(frames, sensor)
