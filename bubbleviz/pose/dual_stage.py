@@ -44,9 +44,9 @@ frame, and the first pose of an object has converged. At two thirds of the longe
 the derivatives is less than half."""
 _REUSE = 3.3
 """Factor of a motion's covariance: errors of linear models that are reused up to `_VALID_M` away
-are the same from frame to frame, but the filter averages them as noise. Without it, ellipsoids of
-moving objects with edges hold 79 to 88 % of the poses, with it 92 to 100 % (on other paths than it
-was chosen on); for objects at rest they are too wide, and hold all."""
+are the same from frame to frame, but the filter averages them as noise. The size was chosen on
+earlier paths; that it is kept, on others: without it ellipsoids of moving nuts and toys hold 79 to
+88 % of the poses, with it 92 to 100 %. For objects at rest they are too wide, and hold all."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 _AS_LIKELY = 12.6

@@ -247,7 +247,7 @@ def test_gauge_pressure_by_levels_on_an_oval_rim(vented, moulded):
     alone, _ = fitted.gauge_candidates
     share = fitted.rubber["sheet_share"]
     assert fitted.sensor.membrane.sheet_share == pytest.approx(share.value, abs=1e-3)
-    assert 0.0 <= share.low < share.high <= 1.0
+    assert share.high - share.low < 0.95  # of a uniform distribution from 0 to 1
     assert share.low < (0.13 if moulded else 0.73) < share.high  # by its stress
     if moulded:
         assert alone.value == pytest.approx(G, rel=0.04)
