@@ -5,7 +5,7 @@ import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoints
 from pathlib import Path
-from unittest.mock import MagicMock, call
+from unittest.mock import call, create_autospec
 
 import click
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 import bubbleviz as bv
+import bubbleviz_ui.app
 from bubbleviz.cli.command_line import OneLineErrors, main
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.live import LiveSession
@@ -136,7 +137,7 @@ def pico_recording(tmp_path):
 @pytest.fixture
 def windows(monkeypatch):
     """Calls for the window or its picture, in place of doing it."""
-    asked = MagicMock()
+    asked = create_autospec(bubbleviz_ui.app)  # refuses arguments that the functions do not take
     asked.run_window.return_value = 0
     for name in ("run_window", "screenshot"):
         monkeypatch.setattr(f"bubbleviz_ui.app.{name}", getattr(asked, name))

@@ -4,6 +4,7 @@ import json
 import runpy
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import MagicMock
 
 import pytest
@@ -31,8 +32,16 @@ SHOWN = {
 def ros(monkeypatch):
     """What the launch file calls of ROS 2."""
     called = MagicMock()
-    for name in ("", ".actions", ".conditions", ".substitutions", "_ros", "_ros.actions"):
-        monkeypatch.setitem(sys.modules, f"launch{name}", called)
+    for module, names in {
+        "launch": ("LaunchDescription",),
+        "launch.actions": ("DeclareLaunchArgument", "SetEnvironmentVariable"),
+        "launch.conditions": ("IfCondition",),
+        "launch.substitutions": ("LaunchConfiguration",),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node",),
+    }.items():
+        only = SimpleNamespace(**{name: getattr(called, name) for name in names})
+        monkeypatch.setitem(sys.modules, module, only)
     names = runpy.run_path(str(FOLDER / "bubbleviz.launch.py"))
     names["generate_launch_description"]()
     return called
