@@ -79,7 +79,7 @@ TIPS = {
     "slip": "Share of the patch that slipped since contact, relative to the part that sticks; – "
     "if unknown, for example because too little sticks",
 }
-UNVERIFIED = "not verified on real sensors"
+UNVERIFIED = "force direction not verified on real sensors"
 WIDEST = "≈ 88.88 ± 88.88 N·mm"
 """A number that fits in one line of the narrowest panel."""
 STATES = {
@@ -111,8 +111,8 @@ def shear_texts(result: Result | None, units: Units, *, final: bool = True) -> d
     about = "" if final or traction.status == "no_contact" else "≈ "
     texts = {name: unit.with_interval(*measure) for name, (measure, unit) in measures.items()}
     texts = {name: text if text == DASH else about + text for name, text in texts.items()}
-    texts["direction"] += f", {UNVERIFIED}" if known else ""
-    return {"state": STATES[traction.status] + reason, **texts}
+    remark = f"; {UNVERIFIED}" if known else ""
+    return {"state": STATES[traction.status] + reason + remark, **texts}
 
 
 def shear_report(result: Result, units: Units) -> str:
