@@ -98,7 +98,7 @@ def record(
     stream = open_stream(source, _simulated(sensor), any_size=True)
     recorder = Recorder()
     recorder.listen_to(stream)
-    first: float | None = None
+    first, lost = None, False
     with (
         replacing(out, stream.source, overwrite=overwrite) as replaces,
         stopped_by_signals() as stop,
@@ -107,9 +107,10 @@ def record(
         try:
             with stream:
                 first = _wait(stream, recorder, stop, duration_s)
+                lost = stream.source.link == "lost"
         finally:
             status = recorder.stop()
-        _check(status, stream, source)
+        _check(status, stream, source, lost=lost)
     now, counters = time.monotonic(), stream.counters
     return RecordSummary(
         source=source,
@@ -163,10 +164,10 @@ def _poll(
             return
 
 
-def _check(status: RecorderStatus, stream: LiveStream, source: str) -> None:
+def _check(status: RecorderStatus, stream: LiveStream, source: str, *, lost: bool) -> None:
     if status.problem:
         raise InputError(status.problem)
-    problem, lost = stream.source.problem, stream.source.link == "lost"
+    problem = stream.source.problem
     if problem and not (lost and status.messages):  # messages before the loss are in the file
         raise InputError(f"{source}: {problem}")
     if not status.messages:

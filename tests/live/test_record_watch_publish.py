@@ -281,6 +281,19 @@ def test_every_image_is_recorded(small_sensor_file, tmp_path, monkeypatch):
     assert gaps_in(counted) == (0, 0)
 
 
+def test_a_publisher_that_ends_before_the_duration_is_no_failure(tmp_path, monkeypatch):
+    """The recording is complete, although nothing answers any more when the time is over."""
+    monkeypatch.setattr("bubbleviz.live.opening.FIRST_MESSAGE_S", 240.0)
+    monkeypatch.setattr("bubbleviz.live.zenoh_source.DIAGNOSE_EVERY_S", 0.2)
+    write_plain(tmp_path / "short.mcap", 8)
+    endpoint, out = f"tcp/127.0.0.1:{free_port()}", tmp_path / "rec.mcap"
+    source = ("--source", f"replay:{tmp_path / 'short.mcap'}")
+    publisher = start("publish", *source, "--listen", endpoint, "--wait")
+    words = ("--source", f"zenoh:{endpoint}", "--out", out, "--duration", 3.0, "--json")
+    assert json.loads(output_of("record", *words))["frames"] == info(out).frames == 8
+    publisher.communicate(timeout=240)
+
+
 def test_a_file_with_a_hole_has_a_hole(tmp_path):
     """The count that decides is not blind."""
     messages = [depth(NOW + k * PERIOD, k)._replace(sequence=k) for k in (5, 6, 8, 8, 9)]
