@@ -7,6 +7,7 @@ from bubbleviz.errors import InputError
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.render_view import FAST, SMOOTH, VARIABLE, detect_quality, quality_for
+from bubbleviz_ui.view3d.tools import DOT
 from bubbleviz_ui.window_session import application
 
 SOFTWARE = (
@@ -63,13 +64,13 @@ def test_edges_and_points_are_smooth_or_fast_and_lit_as_by_vtk(drive, quality):
     shades = share_of_shades(rim, theme.of(window).rim, theme.of(window).view)
     assert shades > 0.2 if smooth else shades == 0.0
 
-    window.tools.distance.add(np.array(window.view.camera.focal_point))
+    window.scene.callout.show_distance([np.array(window.view.camera.focal_point)])
     window.view.refresh()
     driver.wait_until_shown()
     dot = (window.view.pixels().astype(int) - rim).any(axis=2)
     rows, columns = np.flatnonzero(dot.any(axis=1)), np.flatnonzero(dot.any(axis=0))
     inside = dot[np.ix_(rows, columns)]
-    assert min(inside.shape) >= 9 and max(inside.shape) <= 10
+    assert min(inside.shape) >= DOT - 1 and max(inside.shape) <= DOT
     corners = inside[np.ix_([0, -1], [0, -1])]
     assert corners.all() if not smooth else not corners.any()
     assert inside.mean() == pytest.approx(np.pi / 4 if smooth else 1.0, abs=0.1)
@@ -88,7 +89,7 @@ def test_edges_and_points_are_smooth_or_fast_and_lit_as_by_vtk(drive, quality):
     driver.wait(lambda: len(driver.result.cloud_m) > 100)
     # the membrane's lighting is that of VTK; without the dot, whose edge differs by a few pixels in
     # some renders of the same scene by the software renderer
-    window.tools.distance.clear()
+    window.scene.callout.hide()
     driver.choose(layers=frozenset({"membrane"}))
     ours = driver.pixels().astype(int)
     assert np.ptp(ours[ours.shape[0] // 2], axis=0).max() > 30  # shaded

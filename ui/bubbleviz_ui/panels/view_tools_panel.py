@@ -35,11 +35,9 @@ from bubbleviz_ui.shell.file_dialogs import (
     name_of_output,
     save_picture,
 )
-from bubbleviz_ui.view3d.object_layers import ProbeMarks
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
-from bubbleviz_ui.view3d.text import AnchoredText
-from bubbleviz_ui.view3d.tools import Distance, Turntable, Viewpoint, picture_of
+from bubbleviz_ui.view3d.tools import Turntable, Viewpoint, picture_of
 
 VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
@@ -75,11 +73,10 @@ class ViewTools(QWidget):
         super().__init__()
         self._state, self._view, self._scene = state, view, scene
         self.tool = "rotate"
-        self.distance = Distance(view)
+        self.ends_m: list[np.ndarray] = []  # Points (3,) in B clicked for a distance
         self.turntable = Turntable(view)
         self.picked = Hover(controller)
         self.profile = ProfilePlot(state, controller)
-        self._marks, self._text = ProbeMarks(view), AnchoredText(view, state.units)
         self._extent_m = 0.1
         self._make_buttons()
         self._make_settings(state)
@@ -158,7 +155,7 @@ class ViewTools(QWidget):
     def _connect(self, controller: Controller) -> None:
         self.turn.toggled.connect(self.turntable.set_turning)
         self._view.clicked.connect(self._on_clicked)
-        self.picked.changed.connect(self._on_picked)
+        self.picked.changed.connect(self._show_reading)
         controller.opened.connect(self._on_opened)
 
     # -- pointing -----------------------------------------------------------------------------
@@ -168,7 +165,7 @@ class ViewTools(QWidget):
         self.tool = name
         self.tools[name].setChecked(True)
         self.picked.leave()
-        self.distance.clear()
+        self.ends_m = []
         pointer = Qt.CursorShape.ArrowCursor if name == "rotate" else Qt.CursorShape.CrossCursor
         self._view.setCursor(pointer)
         self._show_reading()
@@ -180,44 +177,34 @@ class ViewTools(QWidget):
         if self.tool == "probe":
             self.picked.leave() if point is None else self.picked.at_point(point)
         elif point is not None:
-            self.distance.add(point)
+            self.ends_m = [*self.ends_m, point] if len(self.ends_m) == 1 else [point]
         self._show_reading()
 
-    def _on_picked(self, place: Probed | None) -> None:
-        self._marks.show(place, self._scene.drawn_point(place))
-        self._show_reading()
-
-    def _show_reading(self) -> None:
+    def _show_reading(self, _: Probed | None = None) -> None:
         """Show the probed place or the distance, in the view and in the panel."""
-        place, length_m = self.picked.place, self.distance.length_m
-        if length_m is not None:
-            self._text.show(length_m, self.distance.middle_m)
+        place, ends = self.picked.place, self.ends_m
+        if ends:
+            self._scene.callout.show_distance(ends)
         else:
-            self._text.show(place, self._scene.drawn_point(place))
-        lines = HINTS[self.tool]
-        units, ends = self._state.units, self.distance.points_m
-        if self.tool == "probe" and place is not None:
-            lines = probe_lines(place, units)
-        elif self.tool == "distance" and length_m is not None:
-            dx, dy, dz = (units.length.from_si(float(d)) for d in ends[1] - ends[0])
-            digits = units.length.digits
-            lines = (
-                f"distance {units.length.text(length_m)}",
-                f"Δx {dx:.{digits}f} · Δy {dy:.{digits}f}",
-                f"Δz {dz:.{digits}f} {units.length.symbol}",
-            )
-        elif self.tool == "distance" and ends:
+            self._scene.pin(place)
+        lines, length = HINTS[self.tool], self._state.units.length
+        if place is not None:
+            lines = probe_lines(place, self._state.units)
+        elif len(ends) == 2:
+            dx, dy, dz = (f"{length.from_si(d):.{length.digits}f}" for d in ends[1] - ends[0])
+            distance = length.text(float(np.linalg.norm(ends[1] - ends[0])))
+            lines = (f"distance {distance}", f"Δx {dx} · Δy {dy}", f"Δz {dz} {length.symbol}")
+        elif ends:
             lines = ("Click on the other point", "", "")
         for label, line in zip(self.reading, lines, strict=True):
             label.setText(line)
-        self.profile.show_line(None if length_m is None else np.array(ends))
+        self.profile.show_line(np.array(ends) if len(ends) == 2 else None)
 
     # -- settings -----------------------------------------------------------------------------
 
     def _on_opened(self, opened: Opened) -> None:
-        self._marks.set_camera(opened.camera.center)
         self._extent_m = float(abs(opened.mesh.nodes).max())
-        self.distance.clear()
+        self.ends_m = []
         self._at.refresh()
         self._show_reading()
 
@@ -226,7 +213,7 @@ class ViewTools(QWidget):
         self.section_text.setText(f"at {length.text(settings.section_at_m)}")
         for box in (self.section_at, self.flipped):
             box.setEnabled(settings.section_axis is not None)
-        self._on_picked(self.picked.place)
+        self._show_reading()
 
     # -- pictures -----------------------------------------------------------------------------
 

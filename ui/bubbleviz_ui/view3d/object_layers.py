@@ -1,11 +1,10 @@
-"""Layers of the registered object, of its fit, and marks of the probe."""
+"""Layers of the registered object and of its fit."""
 
 from __future__ import annotations
 
 import numpy as np
 import pyvista as pv
 
-from bubbleviz.diagnostics import Probed
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.pose import open_axes
 from bubbleviz.result import Pose
@@ -13,8 +12,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, rgb
-from bubbleviz_ui.view3d.layer import Canvas, Layer, Segments, add_mark, cells, draw_in_front
-from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.layer import Canvas, Layer, Segments, cells, draw_in_front
 
 DETERMINED, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
 OPACITY = 0.45  # so that the membrane shows behind it
@@ -159,48 +157,3 @@ def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
         for sign in (-1.0, 1.0):
             pieces.append(np.stack([tip, tip + size * (back + 0.5 * sign * side)]))
     return np.concatenate(pieces)
-
-
-# Marks of a probed place: measured point, point of the membrane, and the camera's ray.
-
-
-class ProbeMarks:
-    """Two dots and a line in front of everything; hidden without a probed place."""
-
-    def __init__(self, view: View) -> None:
-        self._view = view
-        self._camera_m = np.zeros(3)
-        self._dots = pv.PolyData(np.zeros((2, 3)))
-        self._dots.point_data["colour"] = np.array([rgb(theme.LINE), rgb(theme.NODE)], np.uint8)
-        self._ray = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        dots = {"scalars": "colour", "point_size": 11, **view.quality.points}
-        self.actors = [
-            add_mark(view, self._ray, color=theme.LINE, line_width=1, opacity=0.6, lighting=False),
-            add_mark(view, self._dots, **dots),
-        ]
-        view.follow_theme(self._paint)
-        self.show(None)
-
-    def _paint(self, colours: theme.Colours) -> None:
-        """Draw the measured point in the text colour, as it may lie off the membrane."""
-        self._dots.point_data["colour"][0] = rgb(colours.text)
-        self._dots.Modified()
-        self.actors[0].prop.color = colours.text
-
-    def set_camera(self, position_m: np.ndarray) -> None:
-        """Set the position of the depth camera, (3,) in B."""
-        self._camera_m = np.asarray(position_m, float)
-
-    def show(self, place: Probed | None, drawn_m: np.ndarray | None = None) -> None:
-        """Mark a probed place, or none; `drawn_m` (3,): exaggerated position on the membrane."""
-        measured = place is not None and bool(np.isfinite(place.point_m).all())
-        if place is not None:
-            membrane = place.membrane_m if drawn_m is None else drawn_m
-            point = place.point_m if measured else membrane
-            self._dots.points[:] = np.array([point, membrane])
-            self._ray.points[:] = np.array([self._camera_m, point])
-            self._dots.Modified()
-            self._ray.Modified()
-        for actor in self.actors:
-            actor.visibility = place is not None
-        self._view.refresh()

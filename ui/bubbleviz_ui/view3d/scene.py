@@ -35,12 +35,13 @@ from bubbleviz_ui.view3d.contact_layers import (
     WireframeLayer,
 )
 from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, Surface
-from bubbleviz_ui.view3d.object_layers import FitLayer, ObjectLayer, ProbeMarks
+from bubbleviz_ui.view3d.object_layers import FitLayer, ObjectLayer
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.sensor_layers import AxesLayer, CloudLayer, FrustumLayer, RimLayer
-from bubbleviz_ui.view3d.text import MIN_HEIGHT, WIDTH, AnchoredText, ColourBar
+from bubbleviz_ui.view3d.text import MIN_HEIGHT, WIDTH, ColourBar
 from bubbleviz_ui.view3d.tools import (
     DIRECTIONS,
+    Callout,
     Picker,
     Section,
     Viewpoint,
@@ -167,9 +168,9 @@ class Scene:
         self._mesh: MembraneMesh | None = None
         self._sensor: Sensor | None = None
         self._bounds = [-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]
-        self.marks = ProbeMarks(view)
-        self._text = AnchoredText(view, state.units)
-        view.pointer_props += [*self.marks.actors, self._text.actor]
+        self._hovered = Callout(view, state.units)
+        self.callout = Callout(view, state.units)  # Of clicks
+        view.pointer_props += self._hovered.actors
         cut = [actor for layer in self.layers.values() if layer.clipped for actor in layer.actors]
         self.section = Section(view, self._surface, cut)
         self._picker = Picker(view, self._surface, self.layers)
@@ -184,7 +185,6 @@ class Scene:
         self._bounds = _bounds(mesh, sensor, self._others_m)
         self._drawn.set_sensor(sensor, mesh)
         self.scales.set_sensor(sensor)
-        self.marks.set_camera(np.array(sensor.camera.position_m))
         alone = not len(self._others_m)  # of two sensors, both stay in view
         if alone and before is not None and not _as_large(before, mesh):
             self.reset_view()
@@ -254,7 +254,7 @@ class Scene:
     def apply(self, settings: Settings) -> None:
         """Redraw the last result with other settings."""
         self._settings = settings
-        self._text.write()
+        self._hovered.write()
         if self._result is not None:
             self.show(self._result, settings)
 
@@ -278,14 +278,19 @@ class Scene:
         self._view.refresh()
 
     def mark(self, place: Probed | None) -> None:
-        """Show the numbers of a probed place, and mark it if the images panel is open."""
-        drawn_m = self.drawn_point(place)
-        self._text.show(place, drawn_m)
-        self.marks.show(place if "images" in self._state.settings.panels else None, drawn_m)
+        """Show the numbers of the place under the mouse, marked if the images panel is open."""
+        self._show(self._hovered, place, marked="images" in self._state.settings.panels)
 
-    def drawn_point(self, place: Probed | None) -> np.ndarray | None:
-        """Drawn position (3,) in B of a probed place of the membrane; None without a place."""
-        return self._surface.drawn_point(place) if place is not None else None
+    def pin(self, place: Probed | None) -> None:
+        """Mark a place that was clicked, with its numbers."""
+        self._show(self.callout, place, marked=True)
+
+    def _show(self, callout: Callout, place: Probed | None, *, marked: bool) -> None:
+        if place is None or self.depth_camera is None:
+            callout.hide()
+        else:
+            drawn_m, camera_m = self._surface.drawn_point(place), self.depth_camera.center
+            callout.show_place(place, drawn_m, camera_m, marked=marked)
 
     def bar_at(self, x: float, y: float) -> ColourBar | None:
         """Colour bar at a position of the view, or None."""

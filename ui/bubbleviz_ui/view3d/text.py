@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 import matplotlib
-import numpy as np
 from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 from vtkmodules.vtkRenderingCore import vtkTextActor
 
-from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.model.settings import Settings
-from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.model.units import Unit
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import ENTRIES, rgb
 from bubbleviz_ui.view3d.render_view import View
@@ -76,61 +74,6 @@ def wrap(view: View, text: vtkTextActor, line: str, width: float) -> str:
     if share < 1.0:
         text.SetInput(textwrap.fill(line, max(math.floor(share * len(line)), 1)))
     return str(text.GetInput())
-
-
-# Text anchored at a point of the 3-D view.
-
-
-SIZE = 13  # px
-
-
-class AnchoredText:
-    """Numbers of a probed place, or a length, at a point of the scene."""
-
-    def __init__(self, view: View, units: Units) -> None:
-        self._view, self._units = view, units
-        self._what: Probed | float | None = None
-        self.actor = vtkTextActor()
-        self.actor.GetPositionCoordinate().SetCoordinateSystemToWorld()
-        self.actor.SetVisibility(False)
-        set_text_style(view, self.actor.GetTextProperty(), SIZE, ground="field")
-        view.renderer.AddViewProp(self.actor)
-
-    def show(self, what: Probed | float | None, drawn_m: np.ndarray | None) -> None:
-        """Show the numbers of a place, or a length in m, at `drawn_m` (3,) in B, or hide them."""
-        self._what = what
-        self.actor.SetVisibility(what is not None)
-        if what is not None and drawn_m is not None:
-            self.write()
-            self.actor.GetPositionCoordinate().SetValue(*drawn_m)
-            at, style = self._view.screen_position(drawn_m), self.actor.GetTextProperty()
-            # towards the middle of the view
-            right = at.x() > self._view.width() / 2
-            style.SetJustificationToRight() if right else style.SetJustificationToLeft()
-            low = at.y() > self._view.height() / 2
-            up, down = style.SetVerticalJustificationToBottom, style.SetVerticalJustificationToTop
-            up() if low else down()
-        self._view.refresh()
-
-    def write(self) -> None:
-        """Update the text in the current units."""
-        if isinstance(self._what, Probed):
-            self.actor.SetInput(probe_text(self._what, self._units))
-        elif self._what is not None:
-            self.actor.SetInput(f" {self._units.length.text(self._what)} ")
-
-
-def probe_text(place: Probed, units: Units) -> str:
-    """Lines about a probed place; the residual only if known."""
-    lines = [
-        f"p_c {units.pressure.text(place.pressure_pa)}",
-        f"u {units.length.text(place.displacement_m)}",
-        f"residual {units.fine_length.text(place.residual_m)}",
-        f"node {place.node}",
-    ]
-    if math.isnan(place.residual_m):
-        del lines[2]
-    return "\n".join(f" {line} " for line in lines)
 
 
 # Colour bars.

@@ -1,10 +1,11 @@
-"""Tools of the 3-D view: distance, picking, section, turntable, pictures, viewpoints."""
+"""Tools of the 3-D view: callouts, picking, section, turntable, pictures, viewpoints."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -14,55 +15,113 @@ from PySide6.QtCore import QObject, Qt, QTimer
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkFiltersCore import vtkCutter
-from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkWindowToImageFilter
+from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkTextActor, vtkWindowToImageFilter
 
 from bubbleviz.camera import DepthCamera
+from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.layer import Layer, Surface, add_mark
 from bubbleviz_ui.view3d.render_view import POINTS_PER_INCH, View
-from bubbleviz_ui.view3d.text import left_of_bars
+from bubbleviz_ui.view3d.text import left_of_bars, set_text_style
+
+DOT, TEXT = 11, 13  # px, size of a dot and of the numbers at it
 
 
-class Distance:
-    """Distance of two clicked points; a third click starts again."""
+class Callout:
+    """Two dots and a line in front of everything, with numbers: of a probed place or a distance."""
 
-    def __init__(self, view: View) -> None:
-        self._view = view
-        self.points_m: list[np.ndarray] = []  # Clicked points (3,) in B
-        self._poly = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
-        dots = {"point_size": 10, **view.quality.points}
-        self._line = add_mark(view, self._poly, color=theme.GREEN, line_width=2, lighting=False)
-        self._dots = add_mark(view, self._poly, color=theme.GREEN, **dots)
-        self.clear()
+    def __init__(self, view: View, units: Units) -> None:
+        self._view, self._units = view, units
+        self._dots = pv.PolyData(np.zeros((2, 3)))
+        self._dots.point_data["colour"] = np.zeros((2, 3), np.uint8)
+        self._ends = pv.PolyData(np.zeros((2, 3)), lines=[2, 0, 1])
+        dots = {"scalars": "colour", "point_size": DOT, **view.quality.points}
+        self._line = add_mark(view, self._ends, lighting=False)
+        self._text = vtkTextActor()
+        self._text.GetPositionCoordinate().SetCoordinateSystemToWorld()
+        set_text_style(view, self._text.GetTextProperty(), TEXT, ground="field")
+        view.renderer.AddViewProp(self._text)
+        self._marks = [self._line, add_mark(view, self._dots, **dots)]
+        self.actors = [*self._marks, self._text]
+        self.write: Callable[[], None] = (
+            self.hide
+        )  # Shows the same again, in the current units and theme
+        view.follow_theme(lambda _: self.write())
 
-    @property
-    def length_m(self) -> float | None:
-        """Distance in m; None before the second click."""
-        if len(self.points_m) < 2:
-            return None
-        return float(np.linalg.norm(self.points_m[1] - self.points_m[0]))
-
-    @property
-    def middle_m(self) -> np.ndarray:
-        """Midpoint (3,) of the clicked points, in B."""
-        middle: np.ndarray = np.mean(self.points_m, axis=0)
-        return middle
-
-    def add(self, point_m: np.ndarray) -> None:
-        """Add a point (3,) in B."""
-        self.points_m = [*self.points_m, point_m][-2:] if len(self.points_m) < 2 else [point_m]
-        self._poly.points[:] = np.array([self.points_m[0], self.points_m[-1]])
-        self._poly.Modified()
-        self._dots.visibility = True
-        self._line.visibility = len(self.points_m) == 2
+    def hide(self) -> None:
+        """Show nothing."""
+        self.write = self.hide
+        for actor in self.actors:
+            actor.SetVisibility(False)
         self._view.refresh()
 
-    def clear(self) -> None:
-        """Remove the points."""
-        self.points_m = []
-        self._dots.visibility = self._line.visibility = False
+    def show_place(
+        self,
+        place: Probed,
+        drawn_m: np.ndarray,  # (3,) in B: exaggerated position on the membrane
+        camera_m: np.ndarray,  # (3,) in B: start of the ray through the measured point
+        *,
+        marked: bool = True,  # With dots and ray
+    ) -> None:
+        """Show the numbers of a probed place; mark its measured point and that of the membrane."""
+        self.write = partial(self.show_place, place, drawn_m, camera_m, marked=marked)
+        measured = place.point_m if np.isfinite(place.point_m).all() else drawn_m
+        colour = theme.of(self._view).text  # as it may lie off the membrane
+        self._dots.point_data["colour"][:] = rgb(colour), rgb(theme.NODE)
+        self._line.prop = pv.Property(color=colour, line_width=1, opacity=0.6, lighting=False)
+        self._draw((measured, drawn_m), (camera_m, measured), drawn_m, marked=marked)
+        self._text.SetInput(probe_text(place, self._units))
+
+    def show_distance(self, ends_m: Sequence[np.ndarray]) -> None:
+        """Show one or two points (3,) in B; between two a line with its length."""
+        self.write = partial(self.show_distance, ends_m)
+        self._dots.point_data["colour"][:] = rgb(theme.GREEN)
+        self._line.prop = pv.Property(color=theme.GREEN, line_width=2, lighting=False)
+        ends = ends_m[0], ends_m[-1]
+        self._draw(ends, ends, np.mean(ends, axis=0), marked=True)
+        length_m = float(np.linalg.norm(ends[1] - ends[0]))
+        self._text.SetInput(f" {self._units.length.text(length_m)} ")
+        self._text.SetVisibility(len(ends_m) == 2)
+
+    def _draw(
+        self,
+        dots: Sequence[np.ndarray],
+        ends: Sequence[np.ndarray],
+        at_m: np.ndarray,  # Of the text
+        *,
+        marked: bool,
+    ) -> None:
+        self._dots.points[:], self._ends.points[:] = dots, ends
+        self._dots.Modified()
+        self._ends.Modified()
+        for mark in self._marks:
+            mark.SetVisibility(marked)
+        self._text.SetVisibility(True)
+        self._text.GetPositionCoordinate().SetValue(*at_m)
+        at, style = self._view.screen_position(at_m), self._text.GetTextProperty()
+        # towards the middle of the view
+        right = at.x() > self._view.width() / 2
+        style.SetJustificationToRight() if right else style.SetJustificationToLeft()
+        low = at.y() > self._view.height() / 2
+        up, down = style.SetVerticalJustificationToBottom, style.SetVerticalJustificationToTop
+        up() if low else down()
         self._view.refresh()
+
+
+def probe_text(place: Probed, units: Units) -> str:
+    """Lines about a probed place; the residual only if known."""
+    lines = [
+        f"p_c {units.pressure.text(place.pressure_pa)}",
+        f"u {units.length.text(place.displacement_m)}",
+        f"residual {units.fine_length.text(place.residual_m)}",
+        f"node {place.node}",
+    ]
+    if math.isnan(place.residual_m):
+        del lines[2]
+    return "\n".join(f" {line} " for line in lines)
 
 
 # Picking of points in the 3-D view.
