@@ -83,7 +83,7 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     driver.wait(lambda: "wrench 2.00 N" in heading(driver))
     # and the estimate over it, with a mark at the frame shown
     window.plots.boxes["wrench"].trigger()
-    scatter = window.plots.wrench
+    scatter = window.plots.plots["wrench"]
     driver.wait(lambda: len(scatter.dots.getData()[0]) == FRAMES)
     known = driver.state.history.values["force_n"]
     np.testing.assert_allclose(scatter.dots.getData(), (values, known), atol=1e-9)

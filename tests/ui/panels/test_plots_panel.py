@@ -196,7 +196,7 @@ def test_only_chosen_plots_are_computed_and_their_contents(drive):
     assert driver.size == (1280, 800)
     driver.wait(lambda: driver.inspection.kappa_curve is not None)
     finder = PatchFinder(driver.pipeline.mesh, 1.0, 1e-3)
-    x, y = panel.kappa.curve.getOriginalDataset()
+    x, y = panel.plots["kappa"].curve.getOriginalDataset()
     for k in (0, 20, 40):
         area = finder.find(driver.result.estimate, float(10.0 ** x[k])).area_m2
         assert y[k] == pytest.approx(1e6 * area)

@@ -120,13 +120,15 @@ class SessionState(QObject):
             self.set_playing(False)
         self.seek(self.frame + frames)
 
+    def frame_at(self, time_s: float) -> int:
+        """Frame nearest to a time."""
+        return 0 if self.facts is None else int(np.abs(self.facts.times_s - time_s).argmin())
+
     def step_seconds(self, seconds: float) -> None:
         """Stop playing and move the cursor by some seconds, at least by one frame."""
         if self.facts is None:
             return
-        times = self.facts.times_s
-        nearest = int(np.abs(times - (times[self.frame] + seconds)).argmin())
-        away = nearest - self.frame
+        away = self.frame_at(self.facts.times_s[self.frame] + seconds) - self.frame
         self.step(away if away * seconds > 0 else int(np.sign(seconds)))
 
     def grow(self, facts: SourceFacts) -> None:

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QPointF, Qt
 from PySide6.QtWidgets import (
     QCheckBox,
     QDoubleSpinBox,
@@ -26,7 +26,8 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
 from bubbleviz_ui.model.source_facts import force_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
-from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
+from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.panels.time_plot import FramePlot
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.binding import bind, control
 from bubbleviz_ui.shell.dock import fill
@@ -139,7 +140,7 @@ def _to_steps(kappa: float | None) -> int | None:
     return None if kappa is None else round(STEPS_PER_DECADE * math.log10(kappa))
 
 
-def _to_kappa(steps: int) -> float:
+def _to_kappa(steps: float) -> float:
     return round(10.0 ** (steps / STEPS_PER_DECADE), 2)
 
 
@@ -148,39 +149,51 @@ def _to_kappa(steps: int) -> float:
 # pyqtgraph is imported with the first plot, which saves 0.2 s at start.
 
 
-class KappaAxisPlot(Plot):
-    """A plot over log10 κ."""
+class KappaAxisPlot(FramePlot):
+    """A plot of the frame shown over log10 κ, with the threshold as a line to drag."""
 
-    def __init__(self, line_width: int = 1) -> None:
+    def __init__(self, state: SessionState, controller: Controller, line_width: int = 1) -> None:
         super().__init__("logarithm")
+        self._state, self._controller = state, controller
         self.line = self.add_line(bright=True, width=line_width, movable=True)  # At log10 κ
 
-    def set_line(self, kappa: float | None) -> None:
-        """Move the line to κ without emitting its signals; hide it if κ is None."""
+    def draw(self, _: object = None) -> None:
+        """Move the line to κ without emitting its signals; hide it if κ is automatic."""
+        kappa = self._state.settings.kappa
         self.line.setVisible(kappa is not None)
         if kappa is not None:
             self.line.blockSignals(True)
             self.line.setValue(math.log10(kappa))
             self.line.blockSignals(False)
 
+    def show_cursor(self, _: int, __: int | None) -> None:
+        """Draw the frame that is shown."""
+        self.draw()
+
+    def frame_at(self, _: QPointF) -> int | None:
+        """None: there is one frame only."""
+        return None
+
 
 def kappa_at(line: Any) -> float:
     """κ at the position of a line."""
-    return round(float(10.0 ** line.value()), 2)
+    return _to_kappa(STEPS_PER_DECADE * line.value())
 
 
 class KappaHistogram(KappaAxisPlot):
     """Histogram of membrane area over contact pressure, as a multiple of its mean."""
 
-    def __init__(self) -> None:
+    def __init__(self, state: SessionState, controller: Controller) -> None:
         import pyqtgraph as pg  # with the first plot
 
-        super().__init__(line_width=2)
+        super().__init__(state, controller, line_width=2)
         self.bars = pg.BarGraphItem(x=[0.0], height=[0.0], width=0.05, brush=BLUE, pen=None)
         self.box.addItem(self.bars)
 
-    def draw(self, curve: KappaCurve | None, kappa: float | None, units: Units) -> None:
-        """Draw the histogram of a frame and the line at κ (None: automatic threshold)."""
+    def draw(self, _: object = None) -> None:
+        """Draw the histogram of the frame shown, and the line."""
+        super().draw()
+        curve, units = self._controller.inspection.kappa_curve, self._state.units
         if curve is None:
             self.bars.setOpts(x=[0.0], height=[0.0], width=0.05)
         else:
@@ -190,21 +203,20 @@ class KappaHistogram(KappaAxisPlot):
                 height=units.area.from_si(1.0) * curve.histogram_m2,
                 width=0.9 * (edges[1] - edges[0]),
             )
-        self.set_line(kappa)
         self.write(f"Area ({units.area.symbol}) by p_c / mean p_c")
 
 
 class KappaPlot(KappaAxisPlot):
     """Patch area of the frame over κ; also the IoU if the ground truth is known."""
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, state: SessionState, controller: Controller) -> None:
+        super().__init__(state, controller)
         self.curve, self.iou = self.add_curve(BLUE), self.add_curve(ORANGE)
 
-    def draw(
-        self, curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
-    ) -> None:
-        """Draw the curve of a frame and the line at κ (None: automatic threshold)."""
+    def draw(self, _: object = None) -> None:
+        """Draw the curve of the frame shown, and the line."""
+        super().draw()
+        curve, units = self._controller.inspection.kappa_curve, self._state.units
         self.curve.setData([], [])
         self.iou.setData([], [])
         if curve is not None:
@@ -212,8 +224,7 @@ class KappaPlot(KappaAxisPlot):
             self.curve.setData(np.log10(curve.kappa), area)
             if curve.iou is not None:  # scaled to the areas, as both share the axis
                 self.iou.setData(np.log10(curve.kappa), float(area.max()) * curve.iou)
-        self.set_line(kappa)
-        text = _heading(curve, result, kappa, units)
+        text = _heading(curve, self._controller.result, self._state.settings.kappa, units)
         if curve is not None and curve.iou is not None:
             best = int(np.argmax(curve.iou))
             text += (
@@ -260,8 +271,6 @@ class ThresholdPanel(QWidget):
         self._host = PlotHost(self._make)
         self._host.setMinimumHeight(HEIGHT)
         self._host.seen.connect(self._draw)
-        self.histogram: KappaHistogram | None = None
-        self.curve: KappaPlot | None = None
         self.table = Table(COLUMNS, len(COLUMNS) - 1)
         self.least = control(state, "least_area_m2")
         self._lay_out()
@@ -276,30 +285,22 @@ class ThresholdPanel(QWidget):
         fill(QVBoxLayout(self), *parts, margins=(8, 6, 8, 8), spacing=6)
 
     def _make(self) -> list[Part]:
-        self.histogram, self.curve = KappaHistogram(), KappaPlot()
+        shared = self._state, self._controller
+        self.histogram, self.curve = KappaHistogram(*shared), KappaPlot(*shared)
         self._host.arrange([self.histogram.item, self.curve.item])
         self.curve.box.setXLink(self.histogram.box)
         for plot in (self.histogram, self.curve):
             plot.line.sigPositionChangeFinished.connect(self._on_dragged)
         return [self.histogram, self.curve]
 
-    # -- events -------------------------------------------------------------------------------
-
     def _on_dragged(self, line: Any) -> None:
         self._state.change(kappa=kappa_at(line))
 
-    # -- drawing ------------------------------------------------------------------------------
-
     def _draw(self) -> None:
-        if not self._host.ready:
-            return
-        result, inspection = self._controller.result, self._controller.inspection
-        units = self._state.units
-        kappa = self._state.settings.kappa
-        if self.histogram is not None and self.curve is not None:
-            self.histogram.draw(inspection.kappa_curve, kappa, units)
-            self.curve.draw(inspection.kappa_curve, result, kappa, units)
-        self._fill(inspection.components)
+        if self._host.ready:
+            self.histogram.draw()
+            self.curve.draw()
+            self._fill(self._controller.inspection.components)
 
     def _fill(self, parts: tuple[Component, ...]) -> None:
         units, least = self._state.units, self._state.settings.least_area_m2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from PySide6.QtCore import QPointF, QSize
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
@@ -17,7 +16,7 @@ from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, PlotHost
-from bubbleviz_ui.panels.time_plot import TRACES, TimePlot
+from bubbleviz_ui.panels.time_plot import TRACES, FramePlot, TimePlot
 from bubbleviz_ui.panels.wrench_plot import WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell import theme
@@ -33,8 +32,6 @@ CELL = (310, 112)
 """Smallest width and height of a plot, screen pixels."""
 DRAWN = PATCH_SETTINGS | UNIT_CHOICES.keys() | {"plots"}
 """Settings whose change redraws the curves."""
-LIVE_WINDOW_S = 20.0
-"""Time span shown of a live source."""
 
 
 class PlotsPanel(QWidget):
@@ -46,10 +43,9 @@ class PlotsPanel(QWidget):
         self._state, self._controller = state, controller
         self._redraw = Throttle(self, self._draw, EVERY_MS)
         self._host = PlotHost()  # each plot is created when it is first chosen
-        self._hovered: tuple[str, float] | None = None
-        self.plots: dict[str, TimePlot] = {}
-        self.kappa: KappaPlot | None = None
-        self.wrench: WrenchPlot | None = None
+        self._pointed: QPointF | None = None  # Of the mouse in the canvas
+        self._aligned: AlignedRun | None = None
+        self.plots: dict[str, FramePlot] = {}
         self.choose, self.boxes = menu_button(state, "plots")
         self.analyse = push_button(
             "Analyse all frames",
@@ -98,7 +94,7 @@ class PlotsPanel(QWidget):
 
     def _connect(self) -> None:
         self._controller.analysis.progressed.connect(self._on_analysed)
-        self._controller.shown.connect(self._on_shown)
+        self._controller.shown.connect(self._draw_cursor)
         self._host.seen.connect(self._on_seen)
         self._host.pointed.connect(self._on_mouse)
         self._host.clicked.connect(self._on_click)
@@ -114,19 +110,10 @@ class PlotsPanel(QWidget):
         if not by_playback:  # else when it is shown
             self._draw_cursor()
 
-    def _on_shown(self) -> None:
-        self._draw_cursor()
-        self._show_kappa()
-
     def _on_source(self) -> None:
-        self._show_all_time()
+        for plot in self.plots.values():
+            plot.show_all()
         self._draw()
-
-    def _show_all_time(self) -> None:
-        facts = self._state.facts
-        if facts is not None:
-            for plot in self.plots.values():
-                plot.show_all(facts.times_s)
 
     def _on_analysed(self, done: int, frames: int) -> None:
         busy = done < frames
@@ -140,7 +127,6 @@ class PlotsPanel(QWidget):
     def _on_seen(self) -> None:
         self._arrange()
         self._draw()
-        self._show_kappa()
 
     def sizeHint(self) -> QSize:
         """Two rows of plots, even before any exist, and the table; a smaller panel scrolls."""
@@ -158,29 +144,25 @@ class PlotsPanel(QWidget):
 
     # -- drawing ------------------------------------------------------------------------------
 
-    def _shown(self) -> list[Any]:
+    def _shown(self) -> list[FramePlot]:
         """The chosen plots, created where they are new."""
         return [self._plot(name) for name in PLOTS if name in self._state.settings.plots]
 
-    def _plot(self, name: str) -> TimePlot | KappaPlot | WrenchPlot:
-        made = {**self.plots, "kappa": self.kappa, "wrench": self.wrench}.get(name)
-        if made is None:
-            made = self._new_plot(name)
-            self._host.add(made)
-        return made
+    def _plot(self, name: str) -> FramePlot:
+        if name not in self.plots:
+            self.plots[name] = plot = self._new_plot(name)
+            self._host.add(plot)
+        return self.plots[name]
 
-    def _new_plot(self, name: str) -> TimePlot | KappaPlot | WrenchPlot:
+    def _new_plot(self, name: str) -> FramePlot:
         if name == "wrench":
-            self.wrench = WrenchPlot()
-            return self.wrench
+            return WrenchPlot(self._state)
         if name == "kappa":
-            self.kappa = KappaPlot()
-            self.kappa.line.sigPositionChangeFinished.connect(self._on_kappa)
-            return self.kappa
-        self.plots[name] = plot = TimePlot(TRACES[name])
+            curve = KappaPlot(self._state, self._controller)
+            curve.line.sigPositionChangeFinished.connect(self._on_kappa)
+            return curve
+        plot = TimePlot(TRACES[name], self._state)
         plot.cursor.sigDragged.connect(self._on_dragged)
-        if self._state.facts is not None:
-            plot.show_all(self._state.facts.times_s)
         plot.box.sigXRangeChanged.connect(self._redraw.request)
         return plot
 
@@ -200,40 +182,19 @@ class PlotsPanel(QWidget):
 
     def _draw(self) -> None:
         """Redraw all curves."""
-        facts = self._state.facts
-        if not self._host.ready or facts is None:
-            return
-        if facts.grows and not self._state.frozen:
-            self._show_last(float(facts.times_s[-1]) + 1e-3 * EVERY_MS)  # room for the cursor
-        for name, plot in self.plots.items():
-            if name in self._state.settings.plots:
-                plot.draw(facts, self._state.history, self._state.units)
-                plot.draw_other(self._aligned, self._state.units)
-        if self.wrench is not None and "wrench" in self._state.settings.plots:
-            self.wrench.draw(self._state.history, self._state.units)
-        self._draw_cursor()
-        self._show_statistics()
-
-    def _show_last(self, now_s: float) -> None:
-        """Show the last `LIVE_WINDOW_S` of a live source."""
-        for plot in self.plots.values():
-            plot.show_last(now_s, LIVE_WINDOW_S)
+        if self._host.ready and self._state.facts is not None:
+            for plot in self._shown():
+                plot.draw(self._aligned)
+            self._draw_cursor()
+            self._show_statistics()
 
     def _draw_cursor(self) -> None:
-        facts = self._state.facts
+        facts, pointed = self._state.facts, self._pointed
         if not self._host.ready or facts is None:
             return
         frame = min(self._state.playhead, facts.frames - 1)
-        for name, plot in self.plots.items():
-            if name in self._state.settings.plots:
-                plot.show_cursor(frame, float(facts.times_s[frame]), self._state.units)
-        if self.wrench is not None and "wrench" in self._state.settings.plots:
-            self.wrench.show_cursor(frame)
-        if self._hovered is not None:
-            name, time_s = self._hovered
-            frame = _nearest(facts.times_s, time_s)
-            time_s = float(facts.times_s[frame])
-            self.plots[name].show_hovered(frame, time_s, self._state.units)
+        for plot in self._shown():
+            plot.show_cursor(frame, None if pointed is None else plot.frame_at(pointed))
 
     def _show_statistics(self) -> None:
         """Show statistics of the range chosen on the timeline, if any."""
@@ -254,52 +215,21 @@ class PlotsPanel(QWidget):
         name = "" if sensor is None else sensor.name
         self.statistics.show_range(first, last, curves, state.settings.kappa, name)
 
-    def _show_kappa(self) -> None:
-        if self.kappa is not None and self._host.ready and "kappa" in self._state.settings.plots:
-            result, curve = self._controller.result, self._controller.inspection.kappa_curve
-            self.kappa.draw(curve, result, self._state.settings.kappa, self._state.units)
-
     def _on_click(self, event: Any) -> None:
-        place = event.scenePos()
-        found = self._under(place)
-        if found is not None:
-            self._seek(found[1])
-            event.accept()
-        elif self.wrench is not None and self._is_under(self.wrench, "wrench", place):
-            frame = self.wrench.frame_at(place)
+        for plot in self._shown():
+            frame = plot.frame_at(event.scenePos())
             if frame is not None:
                 self._state.seek(frame)
                 event.accept()
-
-    def _on_mouse(self, place: QPointF | None) -> None:
-        """Show the values under the mouse in the heading of the plot."""
-        self._hovered = None if place is None else self._under(place)
-        self._draw_cursor()
-
-    def _under(self, place: QPointF) -> tuple[str, float] | None:
-        """Plot at a position of the canvas, and its time there, s."""
-        for name, plot in self.plots.items():
-            if self._is_under(plot, name, place):
-                return name, float(plot.box.mapSceneToView(place).x())
-        return None
-
-    def _is_under(self, plot: TimePlot | WrenchPlot, name: str, place: QPointF) -> bool:
-        """Whether a position of the canvas is in a plot, which is shown."""
-        inside = plot.box.sceneBoundingRect().contains(place)
-        return bool(inside) and name in self._state.settings.plots
+                return
 
     def _on_dragged(self, line: Any) -> None:
-        self._seek(float(line.value()))
+        self._state.seek(self._state.frame_at(line.value()))
 
     def _on_kappa(self, line: Any) -> None:
         self._state.change(kappa=kappa_at(line))
 
-    def _seek(self, time_s: float) -> None:
-        facts = self._state.facts
-        if facts is not None:
-            self._state.seek(_nearest(facts.times_s, time_s))
-
-
-def _nearest(times_s: np.ndarray, time_s: float) -> int:
-    """Frame nearest to a time."""
-    return int(np.abs(times_s - time_s).argmin())
+    def _on_mouse(self, place: QPointF | None) -> None:
+        """Show the values under the mouse in the heading of the plot."""
+        self._pointed = place
+        self._draw_cursor()

@@ -1,4 +1,4 @@
-"""One plot over time: curves, confidence bands, cursor and values."""
+"""Plots of the plots panel; one over time: curves, confidence bands, cursor and values."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor, QPainterPath
 from PySide6.QtWidgets import QGraphicsPathItem
 
-from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, FrameHistory, decimated
+from bubbleviz_ui.model.frame_history import MEASURED_FORCE, UNTRUSTED, decimated
 from bubbleviz_ui.model.registry import PLOTS
+from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.panels.plot_host import Plot
@@ -23,6 +24,28 @@ from bubbleviz_ui.shell.theme import BLUE, GREEN, ORANGE
 
 if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import AlignedRun
+
+LIVE_WINDOW_S, AHEAD_S = 20.0, 0.2
+"""Time span shown of a live source, and room for the cursor until the next redraw."""
+
+
+class FramePlot(Plot):
+    """A plot of the plots panel."""
+
+    def show_all(self) -> None:
+        """Show the full range of the time axis, if there is one."""
+
+    def draw(self, other: AlignedRun | None = None) -> None:
+        """Draw what is known, in the chosen units, and the curves of another recording, if any."""
+        raise NotImplementedError
+
+    def show_cursor(self, frame: int, pointed: int | None) -> None:
+        """Show the frame at the cursor; `pointed`: the one under the mouse."""
+        raise NotImplementedError
+
+    def frame_at(self, place: QPointF) -> int | None:
+        """Frame at a position of the canvas, else None."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
@@ -90,28 +113,33 @@ TRACES = MappingProxyType(
 """Plots over time by name."""
 
 
-class TimePlot(Plot):
+class TimePlot(FramePlot):
     """Curves of some quantities over time."""
 
-    def __init__(self, trace: Trace) -> None:
+    def __init__(self, trace: Trace, state: SessionState) -> None:
         super().__init__("seconds", mouse="x")
-        self.trace = trace
-        self._history: FrameHistory | None = None
+        self.trace, self._state = trace, state
         self.box.enableAutoRange(y=True)
         self.box.setAutoVisible(y=True)
         # bands, curves, dots: By quantity; dots of isolated frames, which no line shows
         self.bands = {name: Band(self, trace.curves[name]) for name in trace.bands}
         self.curves = {name: self.add_curve(colour) for name, colour in trace.curves.items()}
         self.dots = {name: self.add_dots(4, colour) for name, colour in trace.curves.items()}
-        self.cursor = self.add_line(bright=True, movable=True)  # Can be dragged
+        self.cursor = self.add_line(bright=True, movable=True)
         self.other_curves: dict[str, Any] = {}  # Those of another recording, once there is one
+        self.show_all()
 
-    def draw(self, facts: SourceFacts, history: FrameHistory, units: Units) -> None:
-        """Draw all known values, in the chosen unit."""
-        self._history = history
-        scale = self.trace.unit(units).from_si(1.0)
+    def draw(self, other: AlignedRun | None = None) -> None:
+        """Draw all known values, and those of another recording dashed."""
+        facts, history = self._state.facts, self._state.history
+        if facts is None:
+            return
+        if facts.grows and not self._state.frozen:
+            now_s = float(facts.times_s[-1]) + AHEAD_S
+            self.box.setXRange(max(now_s - LIVE_WINDOW_S, 0.0), max(now_s, 1.0), padding=0.0)
+        scale = self.trace.unit(self._state.units).from_si(1.0)
+        low, high = self.box.viewRange()[0]
         for name, curve in self.curves.items():
-            low, high = self.box.viewRange()[0]
             known = history.quantity(name)
             times, values = decimated(facts.times_s, known, (low, high), facts.gaps)
             curve.setData(times, values * scale)
@@ -120,44 +148,45 @@ class TimePlot(Plot):
             if name in self.bands:
                 half = history.quantity(self.trace.bands[name])
                 self.bands[name].draw(facts, known * scale, half * scale, (low, high))
+        for curve in self.other_curves.values():
+            curve.clear()
+        if other is not None:
+            self._draw_other(other, scale, (low, high))
 
-    def draw_other(self, other: AlignedRun | None, units: Units) -> None:
-        """Draw the curves of another recording dashed, or none."""
-        if other is None:
-            for curve in self.other_curves.values():
-                curve.clear()
-            return
-        scale, window_s = self.trace.unit(units).from_si(1.0), self.box.viewRange()[0]
+    def _draw_other(self, other: AlignedRun, scale: float, window_s: tuple[float, float]) -> None:
         for name, colour in self.trace.curves.items():
             if name not in self.other_curves:
                 self.other_curves[name] = self.add_curve(colour, style=Qt.PenStyle.DashLine)
             times, values = decimated(other.times_s, other.history.quantity(name), window_s)
             self.other_curves[name].setData(times, values * scale)
 
-    def show_all(self, times_s: np.ndarray) -> None:
+    def show_all(self) -> None:
         """Show the full time range."""
-        end = float(times_s[-1])
-        self.box.setXRange(float(times_s[0]), end if end > times_s[0] else 1.0, padding=0.01)
+        if self._state.facts is not None:
+            first, last = map(float, self._state.facts.times_s[[0, -1]])
+            self.box.setXRange(first, last if last > first else 1.0, padding=0.01)
 
-    def show_last(self, now_s: float, seconds: float) -> None:
-        """Show the last seconds before `now_s`."""
-        self.box.setXRange(max(now_s - seconds, 0.0), max(now_s, 1.0), padding=0.0)
-
-    def show_cursor(self, frame: int, time_s: float, units: Units) -> None:
-        """Move the cursor to a frame and show its values."""
+    def show_cursor(self, frame: int, pointed: int | None) -> None:
+        """Move the cursor to a frame; show its values, or those of the frame under the mouse."""
+        facts = self._state.facts
+        if facts is None:
+            return
         self.cursor.blockSignals(True)
-        self.cursor.setValue(time_s)
+        self.cursor.setValue(float(facts.times_s[frame]))
         self.cursor.blockSignals(False)
         title = self.trace.short or self.trace.title
-        self.write(f"{title}: {self._numbers(frame, units)}")
+        if pointed is not None:
+            title = f"at {self._state.units.time.text(float(facts.times_s[pointed]))}"
+        self.write(f"{title}: {self._numbers(frame if pointed is None else pointed)}")
 
-    def show_hovered(self, frame: int, time_s: float, units: Units) -> None:
-        """Show the values of the frame under the mouse."""
-        self.write(f"at {units.time.text(time_s)}: {self._numbers(frame, units)}")
+    def frame_at(self, place: QPointF) -> int | None:
+        """Frame at the time of a position of the canvas, else None."""
+        inside = self.box.sceneBoundingRect().contains(place)
+        return self._state.frame_at(self.box.mapSceneToView(place).x()) if inside else None
 
-    def _numbers(self, frame: int, units: Units) -> str:
+    def _numbers(self, frame: int) -> str:
         """Values of all curves at a frame, in their colours, and the unit."""
-        unit, parts = self.trace.unit(units), []
+        unit, parts = self.trace.unit(self._state.units), []
         for (name, colour), word in zip(self.trace.curves.items(), self.trace.labels, strict=True):
             if name == MEASURED_FORCE and math.isnan(self._at(name, frame)):
                 continue  # most recordings have no wrench
@@ -166,12 +195,12 @@ class TimePlot(Plot):
             number = unit.with_interval(self._at(name, frame), half)
             number = number.removesuffix(unit.symbol).strip()
             parts.append(f'<span style="color:{colour}">{f"{word} {number}".strip()}</span>')
-        doubt = self._history is not None and self._history.contact[frame] == UNTRUSTED
+        doubt = self._state.history.contact[frame] == UNTRUSTED
         note = f' <span style="color:{theme.UNTRUSTED}">not trusted</span>' if doubt else ""
         return f"{' · '.join(parts)} {unit.symbol}{note}"
 
     def _at(self, name: str, frame: int) -> float:
-        return math.nan if self._history is None else float(self._history.quantity(name)[frame])
+        return float(self._state.history.quantity(name)[frame])
 
     @property
     def data(self) -> dict[str, tuple[Any, Any]]:
