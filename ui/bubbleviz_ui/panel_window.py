@@ -371,7 +371,7 @@ class PanelWindow(QMainWindow):
         for text, box in self.calibration.boxes.items():
             self.undo_recorder.watch_box(text, box)
         self.playback.timeline.range_dragged.connect(self._play_range)
-        self.calibration.painted.connect(self._paint)
+        self.calibration.calibration.painted.connect(self._paint)
         self._rates_timer.timeout.connect(self.show_rates)
         self._rates_timer.start()
         self.view.follow_theme(lambda _: self.scene.apply(self.state.settings))

@@ -51,7 +51,7 @@ class Bench(Driver):
         box = self.panel.frames.collect
         box.count.setValue(count)
         self.click(box.button)
-        self.wait(lambda: not box.collector.active)
+        self.wait(lambda: not box.active)
         self.done()
 
     def key(self, which, held=PLAIN, widget=None):

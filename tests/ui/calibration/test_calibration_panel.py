@@ -18,7 +18,7 @@ from window_driver import LEFT, PLAIN, turn_wheel
 from bubbleviz.calibration import Step
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
-from bubbleviz_ui.calibration import report_page
+from bubbleviz_ui.calibration import calibration_panel
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
 from tests.small_press import changed
@@ -89,9 +89,9 @@ def test_frames_are_chosen_by_mouse_and_keys_removed_and_replaced(bench):
     tips = [panel.steps.button(k).toolTip() for k in range(7)]
     assert tips[0].endswith("needs attention") and not any(tip.endswith("done") for tip in tips)
     bench.step(6)
-    assert not panel.report.use_sensor.isEnabled() and not panel.report.save_as.isEnabled()
+    assert not panel.use.isEnabled() and not panel.save_as.isEnabled()
     bench.undo()
-    assert panel.report.use_sensor.isEnabled() and panel.report.save_as.isEnabled()
+    assert panel.use.isEnabled() and panel.save_as.isEnabled()
     assert bench.answer is replaced and "Outdated" not in panel.verdict.text()
 
 
@@ -205,7 +205,7 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
     for height in (1000, 660):  # the buttons are visible
         bench.resize(1016, height)
         bench.wait_until_shown()
-        for button in (report.use_sensor, report.save_as):
+        for button in (panel.use, panel.save_as):
             assert button.visibleRegion().boundingRect().size() == button.size()
             assert button.mapTo(panel, QPoint()).y() >= panel.stack.geometry().bottom()
     assert not panel.next.isVisible()
@@ -227,8 +227,8 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
 
     proposed = []
     answer = lambda *given, **_: (proposed.append(given[2]) or out, "")  # noqa: E731
-    monkeypatch.setattr(report_page, "new_file", answer)
-    bench.click(report.save_as)
+    monkeypatch.setattr(calibration_panel, "new_file", answer)
+    bench.click(panel.save_as)
     window = bench.window
     assert f"Saved {out}" in window.notice.label.text() and not window.message.isVisible()
     assert panel.steps.button(6).toolTip() == "Report: done"
@@ -242,11 +242,11 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
         assert finding in report.advice.text()
     assert (tmp_path / "mine_report" / "report.html").exists()
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
-    bench.click(report.save_as)
+    bench.click(panel.save_as)
     assert "exists already" in bench.message_text
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
     bench.click(panel.back)
-    assert panel.next.isVisible() and not report.save_as.isVisible()
+    assert panel.next.isVisible() and not panel.save_as.isVisible()
     # thresholds change only the mask, and a drag is one undo step
     page, before = bench.panel.pixels, bench.found
     bench.step(1)

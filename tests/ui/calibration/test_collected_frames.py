@@ -10,7 +10,7 @@ from resting import FRAMES, REST, TENSION, RestingSource
 from window_driver import CTRL
 
 from bubbleviz.recordings import Frame
-from bubbleviz_ui.calibration.frame_collector import FIRST_ESTIMATE
+from bubbleviz_ui.calibration.collect_box import FIRST_ESTIMATE
 from tests.small_press import changed
 
 PERIOD_S = 1.0 / 60.0
@@ -46,11 +46,11 @@ def test_live_frames_are_collected_until_gamma0_is_precise(drive, camera):
     box.count.setValue(400)
     box.target.setValue(5.0)
     bench.click(box.button)
-    bench.wait(lambda: len(box.collector.frames) == 1)
+    bench.wait(lambda: len(box.frames) == 1)
     camera.stuck = None
-    bench.wait(lambda: len(box.collector.frames) >= FIRST_ESTIMATE)
+    bench.wait(lambda: len(box.frames) >= FIRST_ESTIMATE)
     bench.state.set_playing(False)  # no drawing during the estimate
-    bench.wait(lambda: not box.collector.active)
+    bench.wait(lambda: not box.active)
     bench.done()
     assert 10 <= len(bench.found.samples.frames) < 400
     tension = bench.found.tension_by_shape
@@ -75,12 +75,12 @@ def test_collecting_is_cancelled_and_repeated_frames_are_skipped(drive, resting)
     bench = Bench(drive(Loop, playing=True, live=True))
     box = bench.panel.frames.collect
     bench.click(box.button)
-    bench.wait(lambda: len(box.collector.frames) >= 10)
+    bench.wait(lambda: len(box.frames) >= 10)
     before = len(read)
     bench.wait(lambda: len(read) > before + len(frames) + 5)  # more than one loop
-    assert len(box.collector.frames) <= REST + 2
+    assert len(box.frames) <= REST + 2
     bench.click(box.cancel)
-    assert not box.collector.active and bench.panel.calibration.work.collected is None
+    assert not box.active and bench.panel.calibration.work.collected is None
 
 
 def refusals(bench):
@@ -103,13 +103,13 @@ def test_collecting_again_replaces_the_frames(drive, camera):
     assert box.message.text() == "8 frames collected."
     box.count.setValue(2000)
     bench.click(box.button)
-    bench.wait(lambda: len(box.collector.frames) >= 3)
+    bench.wait(lambda: len(box.frames) >= 3)
     assert "until then the 8 frames collected before are in use" in box.message.text()
     bench.click(box.cancel)
     assert panel.calibration.work == work and bench.answer is old
     camera.stuck = panel.calibration.work.collected[0]
     bench.click(box.button)
-    bench.wait(lambda: len(box.collector.frames) > 0)
+    bench.wait(lambda: len(box.frames) > 0)
     bench.click(box.stop)  # too few frames: refused, and the old results are not shown for them
     assert "at least 5" in bench.message_text
     assert panel.verdict.text().startswith("Outdated")
@@ -144,14 +144,14 @@ def test_collected_frames_survive_close_and_reconnecting(drive):
     answer, work = bench.answer, panel.calibration.work
     box.count.setValue(2000)
     bench.click(box.button)
-    bench.wait(lambda: len(box.collector.frames) >= 3)
+    bench.wait(lambda: len(box.frames) >= 3)
     bench.key(Qt.Key.Key_W, CTRL)
     bench.wait(lambda: bench.state.facts.is_empty)
     bench.wait_until_shown()
-    begun = len(box.collector.frames)
+    begun = len(box.frames)
     assert kept() and "Nothing is open" in box.message.text() and not box.button.isEnabled()
     connect(sensor)
-    bench.wait(lambda: len(box.collector.frames) > begun)
+    bench.wait(lambda: len(box.frames) > begun)
     assert kept()
     bench.click(box.cancel)
     assert box.message.text() == "8 frames collected." and panel.verdict.isVisible()

@@ -12,7 +12,7 @@ from resting import never_written
 from window_driver import CTRL
 
 from bubbleviz.sensor import load_sensor
-from bubbleviz_ui.calibration import report_page
+from bubbleviz_ui.calibration import calibration_panel
 from bubbleviz_ui.engine.source import Source
 
 
@@ -38,7 +38,7 @@ def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor,
     bench.identify()
     window, answer = bench.window, bench.answer
     bench.step(len(bench.panel.pages) - 1)
-    bench.click(bench.panel.report.use_sensor)
+    bench.click(bench.panel.use)
     bench.wait(lambda: window.controller.sensor is not sensor)
     assert f"{sensor.name}, identified (not saved)" in window.windowTitle()
     assert bench.pipeline.model.pixels is not None
@@ -79,7 +79,7 @@ def test_identification_survives_close_and_another_recording_asks_to_save_it(
 
     def refused(button, file):
         """Answer the question, or its dialog; the current source stays open."""
-        monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (file, ""))
+        monkeypatch.setattr(calibration_panel, "new_file", lambda *_, **__: (file, ""))
         assert "rest.mcap is not saved" in answered(bench, other, button)
         bench.wait_until_shown()
         assert bench.state.facts.title == "rest.mcap" and bench.answer is answer
@@ -90,7 +90,7 @@ def test_identification_survives_close_and_another_recording_asks_to_save_it(
     with monkeypatch.context() as slowly, cancelling(bench):
         slowly.setattr("bubbleviz.calibration.write_sensor", never_written)
         refused("Save…", out)
-    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (out, ""))
+    monkeypatch.setattr(calibration_panel, "new_file", lambda *_, **__: (out, ""))
     answered(bench, other, "Save…")
     bench.wait(lambda: bench.state.facts.title == "other.mcap")
     found = answer.found.tension_n_per_m
@@ -129,10 +129,10 @@ def test_no_question_about_a_saved_identification(drive, folder, monkeypatch):
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)
-    bench.click(bench.panel.report.use_sensor)
+    bench.click(bench.panel.use)
     bench.wait(lambda: "(not saved)" in bench.window.windowTitle())
-    monkeypatch.setattr(report_page, "new_file", lambda *_, **__: (folder / "mine.toml", ""))
-    bench.click(bench.panel.report.save_as)
+    monkeypatch.setattr(calibration_panel, "new_file", lambda *_, **__: (folder / "mine.toml", ""))
+    bench.click(bench.panel.save_as)
     bench.wait(lambda: "– mine (" in bench.window.windowTitle())  # and opened again from its file
     assert "not saved" not in bench.window.windowTitle()
     bench.window.files.open(folder / "other.mcap")

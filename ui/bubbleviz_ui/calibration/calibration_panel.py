@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtCore import QEvent, Signal
+from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
@@ -32,7 +33,7 @@ from bubbleviz_ui.model.messages import CALIBRATION, UserMessage
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
-from bubbleviz_ui.shell.file_dialogs import ask_to_save, remember_sensor
+from bubbleviz_ui.shell.file_dialogs import ask_to_save, name_of_output, new_file, remember_sensor
 from bubbleviz_ui.shell.message_bars import JobProgress, StepButtons, StepState
 
 OUTDATED = "Outdated: settings changed since."
@@ -42,8 +43,6 @@ WIDTH, LEAST_HEIGHT = 380, 40
 
 class CalibrationPanel(QWidget):
     """Step buttons, the page of one step, verdict, progress."""
-
-    painted = Signal(object, object)  # points (k, 3) and values (k,), both in m, for the 3-D view
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__()
@@ -64,6 +63,16 @@ class CalibrationPanel(QWidget):
             "Identify",
             "Compute all steps up to γ0",
             partial(calibration.reach, Step.TENSION, "Identify"),
+        )
+        self.use = push_button(
+            "Use now",
+            "Use the new sensor for the current source; undo restores the old one",
+            self.use_sensor,
+        )
+        self.save_as = push_button(
+            "Save sensor as…",
+            "Write sensor file, mesh, pixel data and report, or nothing if one fails",
+            self._choose_file,
         )
         self.progress = JobProgress()
         self.cancel = push_button(
@@ -150,7 +159,7 @@ class CalibrationPanel(QWidget):
 
     def close_all(self) -> None:
         """Stop the threads and remove temporary files."""
-        self.frames.collect.collector.close()
+        self.frames.collect.close_worker()
         self.calibration.close()
         for folder in self._folders:
             folder.cleanup()
@@ -186,10 +195,6 @@ class CalibrationPanel(QWidget):
         calibration.restarted.connect(self._begin_anew)
         calibration.progressed.connect(self.progress.show_step)
         calibration.controller.state.messages.added.connect(self._on_message)
-        self.surface.painted.connect(self.painted)
-        self.validation.painted.connect(self.painted)
-        self.report.use.connect(self.use_sensor)
-        self.report.save.connect(self.save)
         calibration.controller.opening.about_to_open.connect(self._on_about_to_open)
 
     def _on_next(self) -> None:
@@ -212,10 +217,17 @@ class CalibrationPanel(QWidget):
         if self.calibration.would_lose_work(request) and not self.confirm_close():
             request.cancelled.set()
 
+    def _choose_file(self) -> None:
+        proposed = name_of_output(self.calibration.name, f"{time.strftime('%Y-%m-%d')}.toml")
+        kinds = "Sensor files (*.toml)"
+        path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
+        if path is not None:
+            self.save(path)
+
     def _save_now(self) -> bool:
         """Ask for a name and save the identification; returns whether it was saved."""
         calibration = self.calibration
-        self.report.choose_file()
+        self._choose_file()
         waiting = QProgressDialog("Writing sensor file and report…", "Cancel", 0, 0, self)
         waiting.setWindowTitle("Calibration")
         waiting.canceled.connect(calibration.cancel)
@@ -247,8 +259,10 @@ class CalibrationPanel(QWidget):
         needs_collecting = calibration.live and calibration.work.collected is None
         following = self.pages[min(place + 1, len(self.pages) - 1)]
         self.next.setVisible(page is not self.report)
-        for button in (self.report.use_sensor, self.report.save_as):
+        ready = answer.comparison is not None and not busy and not calibration.outdated
+        for button in (self.use, self.save_as):
             button.setVisible(page is self.report)
+            button.setEnabled(ready)
         computed = following.is_done(answer) and not calibration.outdated
         to_do = following.next_title if started else self.frames.next_title
         if self._failed:
@@ -312,10 +326,11 @@ class CalibrationPanel(QWidget):
         for page in self.pages:
             self.stack.addWidget(_scrolling(page))
         self.next.setDefault(True)
+        self.save_as.setDefault(True)
         self.verdict.hide()
         working = fill(QHBoxLayout(), (self.progress, 1), self.cancel)
-        last = self.report.use_sensor, (self.report.save_as, 1)
-        buttons = fill(QHBoxLayout(), self.back, self.all, (self.next, 1), *last)
+        last = (self.next, 1), self.use, (self.save_as, 1)
+        buttons = fill(QHBoxLayout(), self.back, self.all, *last)
         parts = (self.steps.row, (self.stack, 1), self.verdict)
         fill(column, *parts, working, buttons)
 

@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QDoubleSpinBox,
-    QGroupBox,
-    QHBoxLayout,
-    QLabel,
-    QSpinBox,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QSpinBox, QWidget
 
 from bubbleviz.calibration import Ranges, Step, as_ranges, frame_numbers
-from bubbleviz.recordings import SIGNIFICANT, ContactFree, HeldFrames, TimeAxis
-from bubbleviz.wording import count_of
+from bubbleviz.recordings import SIGNIFICANT, ContactFree, TimeAxis
 from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
-from bubbleviz_ui.calibration.frame_collector import Collector
-from bubbleviz_ui.engine.solver import Opened
+from bubbleviz_ui.calibration.collect_box import CollectBox
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme
@@ -102,13 +89,6 @@ ENDED_BY = {
     "pressure": "the gas pressure changes after them",
     "recording": "no change until the end: make sure that nothing touched the sensor",
 }
-
-NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."
-NO_FRAMES = {
-    "disconnected": "Disconnected: connect again (Ctrl+L) to collect frames.",
-    "ended": "The source has ended: connect again (Ctrl+L) to collect frames.",
-}
-"""Why no frames arrive, by the badge of the source."""
 
 
 class FramesPage(Page):
@@ -205,116 +185,3 @@ class FramesPage(Page):
         buttons = (self.add, self.remove, self.replace, self.find_again, 1)
         rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]
         fill(self.column, *rows, self.collect, 1)
-
-
-class CollectBox(QGroupBox):
-    """Collects frames of a live source until there are enough or γ0 is precise enough."""
-
-    def __init__(self, calibration: Calibration, units: Units) -> None:
-        super().__init__("Live source")
-        self._calibration, self._units = calibration, units
-        self.collector = Collector()
-        self.count, self.target = QSpinBox(), QDoubleSpinBox()
-        self.contact_free = QCheckBox("Skip frames with contact")
-        self.count.setToolTip("Largest number of frames to collect")
-        self.button = push_button(
-            "",
-            "Collect frames of the live source; they replace those collected before",
-            self._start,
-        )
-        self.stop = push_button(
-            "Stop and use these frames",
-            "Stop collecting and calibrate with the frames collected so far",
-            self.collector.finish,
-        )
-        self.cancel = push_button(
-            "Cancel",
-            "Stop collecting and discard the frames collected so far",
-            self.collector.cancel,
-        )
-        self.message = QLabel(wordWrap=True)
-        self._lay_out()
-        self.count.valueChanged.connect(lambda _: self._show())
-        self.collector.changed.connect(self._show)
-        self.collector.complete.connect(self._use)
-        calibration.controller.shown.connect(self.collector.take)
-        calibration.controller.state.connection_changed.connect(self._show)
-        calibration.changed.connect(self._show)
-        calibration.restarted.connect(self.collector.cancel)
-        calibration.controller.opened.connect(self._on_opened)
-        self._show()
-
-    def _lay_out(self) -> None:
-        self.count.setRange(5, 2000)
-        self.count.setValue(100)
-        self.count.setSuffix(" frames")
-        self.target.setRange(0.0, 20.0)
-        self.target.setSingleStep(0.1)
-        self.target.setSuffix(" %")
-        self.target.setSpecialValueText("never")
-        self.target.setToolTip(
-            "Stop earlier when half of the 95 % interval of γ0, without the error of the gauge "
-            "pressure, is below this share of γ0; lowest value: never"
-        )
-        self.contact_free.setChecked(True)
-        self.contact_free.setToolTip(
-            "Ticked: frames in which the sensor file in use detects contact are not collected. "
-            "Unticked: all are collected, and contact-free ones are searched among them"
-        )
-        row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)
-        buttons = fill(QHBoxLayout(), self.button, self.stop, self.cancel)
-        fill(QVBoxLayout(self), row, self.contact_free, buttons, self.message)
-
-    def _start(self) -> None:
-        calibration = self._calibration
-        sensor = calibration.controller.sensor
-        if sensor is None:
-            return
-        calibration.controller.state.set_playing(True)
-        target = self._units.share.to_si(self.target.value())
-        self.collector.start(
-            calibration.name, sensor, self.count.value(), target, self.contact_free.isChecked()
-        )
-
-    def _on_opened(self, opened: Opened) -> None:
-        """Continue with the same source after reconnecting; cancel with another source."""
-        facts, collector = opened.facts, self.collector
-        if collector.active and not facts.is_empty and facts.title != collector.name:
-            collector.cancel()
-        self._show()
-
-    def _use(self, frames: HeldFrames) -> None:
-        contact_free = self.contact_free.isChecked()
-        ranges = ((0, len(frames)),) if contact_free else None
-        settings = replace(
-            self._calibration.settings, last_step=Step.TENSION, ranges=ranges, pressed=None
-        )
-        self._calibration.use_collected(frames, settings)
-
-    def _show(self) -> None:
-        collector, state = self.collector, self._calibration.controller.state
-        why_not = NO_FRAMES.get(state.badge, "")
-        if state.facts is not None and state.facts.is_empty:
-            why_not = NOTHING_OPEN
-        self.button.setEnabled(not why_not)
-        kept = self._calibration.work.collected
-        again = "Collect" if kept is None else "Collect again:"
-        self.button.setText(f"{again} {count_of(self.count.value(), 'frame')}")
-        self.button.setVisible(not collector.active)
-        self.stop.setVisible(collector.active)
-        self.cancel.setVisible(collector.active)
-        if not collector.active:
-            collected = "" if kept is None else f"{count_of(len(kept), 'frame')} collected"
-            if kept is not None:
-                collected += "." if kept.name == self._calibration.name else f" from {kept.name}."
-            self.message.setText(f"{collected} {why_not}".strip())
-            return
-        text = f"{len(collector.frames)} of {self.count.value()} frames"
-        tension = collector.tension
-        if tension is not None:
-            share = self._units.share.text(tension.half_width / tension.value)
-            shown = self._units.tension.with_interval(tension.value, tension.half_width)
-            text += f" · γ0 so far {shown} ({share})"
-        if kept is not None:
-            text += f" · until then the {count_of(len(kept), 'frame')} collected before are in use"
-        self.message.setText(f"{text} {collector.message} {why_not}".strip())

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
@@ -162,8 +162,6 @@ class SurfacePage(Page):
     sets = ("surface", "nodes")
     next_title = "Fit the surface"
     step = Step.SURFACE
-    # points (k, 3) and values (k,), both in m, for the 3-D view
-    painted = Signal(object, object)
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -232,7 +230,7 @@ class SurfacePage(Page):
             return
         pixels = np.flatnonzero(np.isfinite(found.surfaces.residual_m))
         points = found.samples.camera.points_at(found.samples.statistics.range_m, pixels)
-        self.painted.emit(points, found.surfaces.residual_m.ravel()[pixels])
+        self.calibration.painted.emit(points, found.surfaces.residual_m.ravel()[pixels])
 
 
 # Step 4: γ0 from the Young–Laplace equation, with its interval and local values.

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from typing import TYPE_CHECKING
 
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt, Signal
+from PySide6.QtCore import QSignalBlocker, Qt
 from PySide6.QtWidgets import (
     QComboBox,
     QFormLayout,
@@ -23,7 +22,6 @@ from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
-from bubbleviz_ui.shell.file_dialogs import name_of_output, new_file
 from bubbleviz_ui.shell.table import Table
 
 if TYPE_CHECKING:
@@ -38,8 +36,6 @@ class ReportPage(Page):
     title = "Report"
     task = "Compare with the sensor in use, then save the new one, or use it now."
     next_title = "Compare and save"
-    use = Signal()  # use the identified sensor with the current source
-    save = Signal(object)  # path of the sensor file to write
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -48,17 +44,6 @@ class ReportPage(Page):
         self.compared = QLabel(wordWrap=True)
         self.table = Table(("", "in use", "new"))
         self.view = ImageView("around zero")
-        self.use_sensor = push_button(
-            "Use now",
-            "Use the new sensor for the current source; undo restores the old one",
-            self.use,
-        )
-        self.save_as = push_button(
-            "Save sensor as…",
-            "Write sensor file, mesh, pixel data and report, or nothing if one fails",
-            self.choose_file,
-        )
-        self.save_as.setDefault(True)
         self._lay_out()
 
     def is_done(self, answer: Answer) -> bool:
@@ -66,9 +51,6 @@ class ReportPage(Page):
 
     def show_answer(self, answer: Answer) -> None:
         found, comparison = answer.found, answer.comparison
-        ready = not self.calibration.busy and not self.calibration.outdated
-        for button in (self.use_sensor, self.save_as):
-            button.setEnabled(comparison is not None and ready)
         lines: list[str] = []
         if found.complete:
             pressure = self.units.gas_pressure.text
@@ -108,13 +90,6 @@ class ReportPage(Page):
         }
         return by_kind[kind]
 
-    def choose_file(self) -> None:
-        proposed = name_of_output(self.calibration.name, f"{time.strftime('%Y-%m-%d')}.toml")
-        kinds = "Sensor files (*.toml)"
-        path, _ = new_file(self, "Save sensor as", proposed, kinds, of="sensor")
-        if path is not None:
-            self.save.emit(path)
-
     def _lay_out(self) -> None:
         self.table.setToolTip("±: half of the 95 % interval, where it is known")
         self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
@@ -132,8 +107,6 @@ class ValidationPage(Page):
     task = "If you know which object was pressed and its pose, enter both and compare."
     sets = ("obj", "pose", "pressed")
     next_title = "Validate by a known press"
-    # points (k, 3) and signed distances (k,), both in m, for the 3-D view
-    painted = Signal(object, object)
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
@@ -219,7 +192,7 @@ class ValidationPage(Page):
         found = self.calibration.answer.found.validation
         if found is not None:
             known = np.isfinite(found.distance_m)
-            self.painted.emit(found.points_m, found.distance_m[known])
+            self.calibration.painted.emit(found.points_m, found.distance_m[known])
 
     def _lay_out(self) -> None:
         self.column.addWidget(self.view)
