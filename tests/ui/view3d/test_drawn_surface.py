@@ -28,7 +28,7 @@ def test_edge_of_a_refined_patch_is_drawn_at_its_position():
     patch = Patch(0.0, level[: len(zero)], zero[:3], zero[:3], 1e-5, fine_level=level)
     surface = Surface(Units())
     surface.set_mesh(mesh)
-    surface.draw(surface.shape_of(estimate))
+    surface.draw(estimate, 1.0)
     error = {}
     for name, pieces in (
         ("fine", surface.edge(estimate, patch)),

@@ -14,7 +14,6 @@ from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics import Probed
-from bubbleviz.recordings import FrameColour
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.hover import Hover
 from bubbleviz_ui.model.registry import IMAGES, Colouring, ImageKind
@@ -98,6 +97,10 @@ class ImageCell(Cell):
             self.clear()
             lines = [self.kind.title, *textwrap.wrap(why, LINE_LETTERS)]
             self.write("<br>".join(lines) if why else f"{self.kind.title}: {DASH}")
+            return
+        if self.kind.colouring == "colour":
+            self._put(image, image, autoLevels=False)
+            self.write(self.kind.title)
             return
         low, high = self._range(ends) if scale is None else (-scale, scale)
         unit: Unit | None = getattr(units, self.kind.unit) if self.kind.unit else None
@@ -183,20 +186,6 @@ class ImageCell(Cell):
         ends = (f"{unit.from_si(end):.{_digits(unit.from_si(high - low))}f}" for end in (low, high))
         first, last = ends
         return f"{first} {blocks} {last} {unit.symbol}"
-
-
-class ColourCell(ImageCell):
-    """An image cell without a scale; shows the reason if there is no image."""
-
-    def show_colour(self, seen: FrameColour | None) -> None:
-        """Show a colour image; None if it was not requested yet."""
-        if seen is None or seen.rgb is None:
-            self.clear()
-            why = [DASH] if seen is None else textwrap.wrap(seen.reason, LINE_LETTERS)
-            self.write("<br>".join([self.kind.title, *why]))
-            return
-        self._put(seen.rgb, seen.rgb, autoLevels=False)
-        self.write(self.kind.title)
 
 
 def _digits(span: float) -> int:
@@ -291,9 +280,7 @@ class ImagesPanel(QWidget):
     def _cell(self, name: str) -> ImageCell:
         """The image of a name, created when it is first chosen."""
         if name not in self.cells:
-            kind = IMAGES[name]
-            cell = ColourCell(kind) if kind.colouring == "colour" else ImageCell(kind)
-            self.cells[name] = cell
+            self.cells[name] = cell = ImageCell(IMAGES[name])
             self._host.add(cell)
         return self.cells[name]
 
@@ -309,20 +296,17 @@ class ImagesPanel(QWidget):
         if not self._host.ready:
             return
         result, inspection = self._controller.result, self._controller.inspection
-        images: dict[str, np.ndarray] = {**inspection.images}
+        images: dict[str, np.ndarray | None] = {**inspection.images}
         if result is not None and result.patch is not None:
-            mask = result.patch.pixel_mask
-            images |= {"patch": mask} if mask is not None else {}
+            images["patch"] = result.patch.pixel_mask
+        reasons = {"flow": inspection.no_flow or inspection.reference}
+        if inspection.colour is not None:
+            images["colour"], reasons["colour"] = inspection.colour.rgb, inspection.colour.reason
         self._residual_max_m = self._scales.of(self._state.settings).residual_m
         for name in self._state.settings.images:
-            cell = self._cell(name)
-            if isinstance(cell, ColourCell):
-                cell.show_colour(inspection.colour)
-                continue
-            ends = inspection.ends.get(name)
-            why = (inspection.no_flow or inspection.reference) if name == "flow" else ""
+            ends, why = inspection.ends.get(name), reasons.get(name, "")
             scale = self._residual_max_m if name == "residual" else None
-            cell.draw(images.get(name), ends, self._state.units, why, scale)
+            self._cell(name).draw(images.get(name), ends, self._state.units, why, scale)
 
     def _on_mouse(self, place: QPointF | None) -> None:
         for name in self._state.settings.images if place is not None else ():
@@ -338,7 +322,7 @@ class ImagesPanel(QWidget):
         if name == "flow":
             return False
         opened, colour = self._controller.client.opened, self._controller.inspection.colour
-        if not isinstance(self.cells[name], ColourCell):
+        if name != "colour":
             return True
         return opened is not None and colour is not None and colour.aligned(opened.camera)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,8 @@ from bubbleviz_ui.view3d.colours import lookup_table, pressure_colours
 from bubbleviz_ui.view3d.layer import (
     Canvas,
     Layer,
+    LinesLayer,
     Picture,
-    Segments,
     Surface,
     draw_in_front,
     light_without_highlights,
@@ -95,93 +96,67 @@ IN_FRONT = -200.0
 """Draws the outlines in front of the membrane, on which they lie."""
 
 
-class ContourLayer(Layer):
-    """Outline of the patch on the displayed surface.
+class ContourLayer(LinesLayer):
+    """Outline of the patch: thick its edge, thin the bounds of the edge's uncertainty."""
 
-    A thick line is the edge of the patch; thin lines bound the uncertainty of the edge.
-    """
+    name, looks = "contour", ((theme.LINE, IN_FRONT, 3), (theme.FAINT_LINE, IN_FRONT, 1))
 
-    name, clipped = "contour", True
-
-    def __init__(self, canvas: Canvas) -> None:
-        super().__init__(canvas)
-        self._edge = Segments(self, theme.LINE, IN_FRONT, line_width=3)
-        self._band = Segments(self, theme.FAINT_LINE, IN_FRONT, line_width=1)
-        self._set_drawn(False)
-
-    def draw(self, picture: Picture) -> None:
-        """Draw the edge of the patch and its band; nothing without contact."""
+    def lines(self, picture: Picture) -> Sequence[np.ndarray]:
+        """The edge and its band; nothing without contact."""
         patch, estimate = picture.result.trusted_patch, picture.result.estimate
-        if patch is not None and patch.area_m2 > 0:
-            surface, band = self.canvas.surface, patch.edge_half_width_m
-            self._edge.draw(surface.edge(estimate, patch))
-            levels = () if math.isnan(band) else (band, -band)
-            self._band.draw(surface.edge(estimate, patch, levels))
-        self._set_drawn(patch is not None and patch.area_m2 > 0)
+        if patch is None or patch.area_m2 <= 0:
+            return ()
+        surface, band = self.canvas.surface, patch.edge_half_width_m
+        levels = () if math.isnan(band) else (band, -band)
+        return surface.edge(estimate, patch), surface.edge(estimate, patch, levels)
 
 
-class ObjectPatchLayer(Layer):
+class ObjectPatchLayer(LinesLayer):
     """Outline of the patch by the object; nothing while its pose is lost."""
 
-    name, clipped = "object_patch", True
+    name, looks = "object_patch", ((theme.OBJECT_PATCH, -250.0, 3),)
 
-    def __init__(self, canvas: Canvas) -> None:
-        super().__init__(canvas)
-        self._edge = Segments(self, theme.OBJECT_PATCH, -250.0, line_width=3)
-        self._set_drawn(False)
-
-    def draw(self, picture: Picture) -> None:
-        """Draw the edge, if any."""
+    def lines(self, picture: Picture) -> Sequence[np.ndarray]:
+        """The edge, if any."""
         patch = picture.result.object_patch
-        if patch is not None:
-            self._edge.draw(self.canvas.surface.line(patch.level))
-        self._set_drawn(patch is not None)
+        return () if patch is None else [self.canvas.surface.line(patch.level)]
 
 
-class ComparedLayer(Layer):
+class ComparedLayer(LinesLayer):
     """Outlines of compared settings, while the frame they were measured on is shown."""
 
-    name, clipped = "compared", True
+    name, looks = "compared", tuple((colour, -300.0, 2) for colour in theme.COMPARED)
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._outlines = [_Outline(self, colour) for colour in theme.COMPARED]
-        self._measured: tuple[ComparedResult | str | None, ...] = (None, None)
+        # of A and B; anything but a `ComparedResult` means none
+        self.measured: tuple[ComparedResult | str | None, ...] = (None, None)
+        self._surfaces = [Surface(canvas.units) for _ in self.looks]
+        self._meshes: list[MembraneMesh | None] = [None, None]
 
-    def set_measured(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
-        """Set the measurements of A and B; anything but a `ComparedResult` means none."""
-        self._measured = measured
+    def lines(self, picture: Picture) -> Sequence[np.ndarray]:
+        """The patches of A and B."""
+        return [self._outline(k, measured, picture) for k, measured in enumerate(self.measured)]
 
-    def draw(self, picture: Picture) -> None:
-        """Draw the patches of A and B, unless they belong to another frame."""
-        shown, larger = picture.result.frame.index, picture.settings.exaggeration
-        for outline, one in zip(self._outlines, self._measured, strict=True):
-            measured = one if isinstance(one, ComparedResult) else None
-            if measured is not None and measured.result.frame.index != shown:
-                measured = None
-            outline.draw(measured, larger)
-
-
-class _Outline:
-    """Edge of a patch on the shape estimated with the same setting."""
-
-    def __init__(self, layer: Layer, colour: str) -> None:
-        self._surface = Surface(layer.canvas.units)
-        self._line = Segments(layer, colour, -300.0, line_width=2)
-        self._mesh: MembraneMesh | None = None
-
-    def draw(self, measured: ComparedResult | None, exaggeration: float) -> None:
-        patch = None if measured is None else measured.result.trusted_patch
-        if measured is None or patch is None or patch.area_m2 == 0.0:
-            self._line.draw(np.empty((0, 2, 3)))
-            return
-        if measured.mesh is not self._mesh:
-            self._mesh = measured.mesh
-            self._surface.set_mesh(measured.mesh)
-        shape = self._surface.shape_of(measured.result.estimate, exaggeration)
-        if shape is not None:
-            self._surface.draw(shape)
-        self._line.draw(self._surface.edge(measured.result.estimate, patch))
+    def _outline(
+        self, k: int, measured: ComparedResult | str | None, picture: Picture
+    ) -> np.ndarray:
+        """Edge of a patch on the shape estimated with the same setting, unless of another frame."""
+        shown, none = picture.result.frame.index, np.empty((0, 2, 3))
+        if not isinstance(measured, ComparedResult) or measured.result.frame.index != shown:
+            return none
+        estimate, patch, surface = (
+            measured.result.estimate,
+            measured.result.trusted_patch,
+            self._surfaces[k],
+        )
+        if estimate is None or patch is None or patch.area_m2 == 0.0:
+            return none
+        if measured.mesh is not self._meshes[k]:
+            self._meshes[k] = measured.mesh
+            surface.set_mesh(measured.mesh)
+        surface.draw(estimate, picture.settings.exaggeration)
+        return surface.edge(estimate, patch)
 
 
 # Contact pressure as lines along the normals, with lengths proportional to the pressure.
@@ -191,22 +166,19 @@ LONGEST = 0.5
 """Line length at the end of the pressure scale, in heights of the dome; of traction, too."""
 
 
-class VectorsLayer(Layer):
+class VectorsLayer(LinesLayer):
     """One line per node along its normal."""
 
-    name, clipped = "vectors", True
+    name, looks = "vectors", ((theme.ORANGE, 0.0, 2),)
 
-    def __init__(self, canvas: Canvas) -> None:
-        super().__init__(canvas)
-        self._lines = Segments(self, theme.ORANGE, line_width=2)
-
-    def draw(self, picture: Picture) -> None:
-        """Place the lines; nothing without an estimate."""
-        shape = picture.shape
-        if shape is not None:
-            scale = LONGEST * self.canvas.surface.height_m / picture.ranges.pressure_pa
-            ways = scale * shape.pressure_pa[:, None] * shape.normals
-            self._lines.draw(np.stack([shape.nodes_m + ways, shape.nodes_m], axis=1))
+    def lines(self, picture: Picture) -> Sequence[np.ndarray]:
+        """The lines; nothing without an estimate."""
+        estimate, surface = picture.result.estimate, self.canvas.surface
+        if estimate is None:
+            return ()
+        scale = LONGEST * surface.height_m / picture.ranges.pressure_pa
+        ways = scale * estimate.contact_pressure_pa[:, None] * surface.normals
+        return [np.stack([surface.nodes_m + ways, surface.nodes_m], axis=1)]
 
 
 # The contact force: an arrow that ends at the centre of pressure.
@@ -372,33 +344,28 @@ BARB = (-0.25, 0.12)
 """End of a barb relative to the tip, along and across the arrow, in arrow lengths."""
 
 
-class TractionLayer(Layer):
+class TractionLayer(LinesLayer):
     """Arrows at the nodes in contact.
 
     Normal arrows end on the membrane, tangential ones begin there.
     """
 
-    name, clipped = "traction", True
+    name, looks = "traction", ((theme.ORANGE, -120.0, 3), (theme.BLUE, -120.0, 3))
 
-    def __init__(self, canvas: Canvas) -> None:
-        super().__init__(canvas)
-        colours = theme.ORANGE, theme.BLUE
-        self._normal, self._along = (Segments(self, each, -120.0, line_width=3) for each in colours)
-
-    def draw(self, picture: Picture) -> None:
-        """Draw the traction, if it was estimated."""
-        traction, shape = picture.result.traction, picture.shape
-        known = traction is not None and traction.status in ("ok", "depth_alone")
-        self._set_drawn(known)
-        if traction is None or shape is None or not known:
-            return
+    def lines(self, picture: Picture) -> Sequence[np.ndarray]:
+        """The traction, if it was estimated."""
+        traction, surface = picture.result.traction, self.canvas.surface
+        if traction is None or traction.status not in ("ok", "depth_alone"):
+            return ()
         touched = np.flatnonzero(traction.normal_pa.any(axis=1))
-        scale = LONGEST * self.canvas.surface.height_m / picture.ranges.pressure_pa
+        scale = LONGEST * surface.height_m / picture.ranges.pressure_pa
         parts = traction.normal_pa, traction.tangential_pa
         normal, along = (scale * part[touched] for part in parts)
-        nodes, normals = shape.nodes_m[touched], shape.normals[touched]
-        self._normal.draw(_arrows(nodes - normal, normal, np.roll(normals, 1, axis=1)))
-        self._along.draw(_arrows(nodes, along, normals))
+        nodes, normals = surface.nodes_m[touched], surface.normals[touched]
+        return (
+            _arrows(nodes - normal, normal, np.roll(normals, 1, axis=1)),
+            _arrows(nodes, along, normals),
+        )
 
 
 def _arrows(starts: np.ndarray, ways: np.ndarray, across: np.ndarray) -> np.ndarray:
@@ -454,10 +421,10 @@ class TextureLayer(Layer):
 
     def draw(self, picture: Picture) -> None:
         """Draw the image; nothing while the estimate is untrusted."""
-        texture = picture.result.texture
+        texture, estimate = picture.result.texture, picture.result.estimate
         self._reason = ""
         self._set_drawn(texture is not None)
-        if texture is None or picture.shape is None:
+        if texture is None or estimate is None:
             return
         if texture.colour.rgb is None or texture.reason:
             self._reason = texture.reason
@@ -468,8 +435,8 @@ class TextureLayer(Layer):
         poly.active_texture_coordinates[:] = texture.place
         cover = texture.seen.astype(float)
         if "membrane" in settings.layers:
-            share = picture.shape.pressure_pa / (TEXTURE_FADE * picture.ranges.pressure_pa)
-            cover *= 1.0 - np.minimum(share, 1.0)
+            end_pa = TEXTURE_FADE * picture.ranges.pressure_pa
+            cover *= 1.0 - np.minimum(estimate.contact_pressure_pa / end_pa, 1.0)
         poly.point_data[self.SHADE][:, :3] = 255
         poly.point_data[self.SHADE][:, 3] = 255.0 * cover
         poly.Modified()

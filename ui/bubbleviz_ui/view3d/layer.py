@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,15 +22,6 @@ from bubbleviz_ui.view3d.render_view import LIGHTS, View
 from bubbleviz_ui.view3d.text import ColourBar
 
 # The displayed surface: one VTK mesh shared by membrane, wireframe, contour and rim.
-
-
-@dataclass(frozen=True)
-class Shape:
-    """The displayed shape of the membrane, shared by several layers."""
-
-    nodes_m: np.ndarray  # nodes_m, normals: (n, 3) arrays: Deformed nodes and their normals in B
-    normals: np.ndarray
-    pressure_pa: np.ndarray  # (n,) array: Contact pressure
 
 
 class Surface:
@@ -64,14 +56,15 @@ class Surface:
         self._points, self._normals = self.poly.points, self.poly.point_data["Normals"]
         self._pressure = self.poly.point_data[self.PRESSURE]
 
-    def shape_of(self, estimate: Estimate | None, exaggeration: float = 1.0) -> Shape | None:
-        """Estimated shape with exaggerated displacement; None without an estimate."""
-        if estimate is None or self._mesh is None:
-            return None
-        self._true_m = self._mesh.deformed(estimate.motion_m)
-        nodes = self._mesh.deformed(exaggeration * estimate.motion_m)
-        normals = replace(self._mesh, nodes=nodes).normals
-        return Shape(nodes, normals, estimate.contact_pressure_pa)
+    @property
+    def nodes_m(self) -> np.ndarray:
+        """Drawn nodes (n, 3) in B."""
+        return np.asarray(self._points)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Drawn normals (n, 3) in B."""
+        return np.asarray(self._normals)
 
     def true_point(self, triangle: int, barycentric: np.ndarray) -> np.ndarray:
         """Position (3,) in B, without exaggeration, of a place of the drawn surface."""
@@ -81,13 +74,16 @@ class Surface:
 
     def drawn_point(self, place: Probed) -> np.ndarray:
         """Drawn position (3,) in B of a probed place of the membrane."""
-        return place.interpolated(np.asarray(self._points))
+        return place.interpolated(self.nodes_m)
 
-    def draw(self, shape: Shape) -> None:
-        """Update vertices, normals and colours in place."""
-        self._points[:] = shape.nodes_m
-        self._normals[:] = shape.normals
-        self._pressure[:] = self._units.pressure.from_si(1.0) * shape.pressure_pa
+    def draw(self, estimate: Estimate, exaggeration: float) -> None:
+        """Draw an estimate with exaggerated displacement: update the arrays in place."""
+        assert self._mesh is not None
+        self._true_m = self._mesh.deformed(estimate.motion_m)
+        nodes = self._mesh.deformed(exaggeration * estimate.motion_m)
+        self._points[:] = nodes
+        self._normals[:] = replace(self._mesh, nodes=nodes).normals
+        self._pressure[:] = self._units.pressure.from_si(1.0) * estimate.contact_pressure_pa
         self.poly.Modified()
 
     def edge(
@@ -97,14 +93,14 @@ class Surface:
         fine = None if estimate is None or patch.fine_level is None else estimate.fine
         if fine is None or patch.fine_level is None:
             return self.line(patch.level, levels)
-        nodes = midway(np.asarray(self._points), fine.ends)
+        nodes = midway(self.nodes_m, fine.ends)
         return self._lines(nodes, fine.mesh.corners, patch.fine_level, levels)
 
     def line(self, field: np.ndarray, levels: tuple[float, ...] = (0.0,)) -> np.ndarray:
         """Segments (k, 2, 3) of the drawn level lines of a field (n,)."""
         if self._mesh is None:
             return np.empty((0, 2, 3))
-        return self._lines(np.asarray(self._points), self._mesh.corners, field, levels)
+        return self._lines(self.nodes_m, self._mesh.corners, field, levels)
 
     @staticmethod
     def _lines(
@@ -130,10 +126,9 @@ class Canvas:
 
 @dataclass(frozen=True)
 class Picture:
-    """A result with everything needed to draw it; `shape` is None without an estimate."""
+    """A result with everything needed to draw it."""
 
     result: Result
-    shape: Shape | None
     ranges: Ranges
     settings: Settings
     final: bool  # Its numbers are final
@@ -183,6 +178,29 @@ class Layer:
     def _update(self) -> None:
         for actor in self.actors:
             actor.SetVisibility(self._visible and self._drawn)
+
+
+class LinesLayer(Layer):
+    """A layer of lines on the membrane."""
+
+    clipped = True
+    looks: tuple[tuple[str, float, int], ...]  # Colour, see `draw_in_front`, and width of each kind
+
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._lines = [Segments(self, c, front, line_width=width) for c, front, width in self.looks]
+        self._set_drawn(False)
+
+    def draw(self, picture: Picture) -> None:
+        """Draw the lines, if there are any."""
+        lines = self.lines(picture)
+        for segments, ends in zip(self._lines, lines, strict=False):
+            segments.draw(ends)
+        self._set_drawn(bool(lines))
+
+    def lines(self, picture: Picture) -> Sequence[np.ndarray]:
+        """Ends (k, 2, 3) in B of the lines of each kind; empty if there are none."""
+        raise NotImplementedError
 
 
 CHUNK = 256

@@ -125,13 +125,11 @@ class DrawnLayers:
             self._draw(drawn.result, drawn.settings, final=drawn.final)
 
     def _draw(self, result: Result, settings: Settings, *, final: bool) -> None:
-        shape = None
-        if any(layer.clipped for name, layer in self.by_name.items() if name in settings.layers):
-            shape = self.surface.shape_of(result.estimate, settings.exaggeration)
-        if shape is not None:
-            self.surface.draw(shape)
+        on_it = any(each.clipped for name, each in self.by_name.items() if name in settings.layers)
+        if on_it and result.estimate is not None:
+            self.surface.draw(result.estimate, settings.exaggeration)
         ranges = self._scales.of(settings)
-        self._picture = picture = Picture(result, shape, ranges, settings, final)
+        self._picture = picture = Picture(result, ranges, settings, final)
         for name, layer in self.by_name.items():
             layer.set_visible(name in settings.layers)
             if name in settings.layers:
@@ -243,7 +241,7 @@ class Scene:
 
     def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings while their frame is shown."""
-        self._drawn.layer(ComparedLayer).set_measured(measured)
+        self._drawn.layer(ComparedLayer).measured = measured
         self.apply(self._settings)
 
     def set_outdated(self, outdated: bool) -> None:
