@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from PySide6.QtCore import QPointF, Qt
-from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
-from PySide6.QtWidgets import QHBoxLayout, QLabel, QSpinBox, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QSpinBox
 
 from bubbleviz.calibration import Ranges, Step, as_ranges, frame_numbers
 from bubbleviz.recordings import SIGNIFICANT, ContactFree, TimeAxis
@@ -13,6 +11,7 @@ from bubbleviz_ui.calibration.calibration_page import Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.calibration.collect_box import CollectBox
 from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.panels.plot_host import LEFT, RIGHT, Part, Plot, PlotHost
 from bubbleviz_ui.playback.range_strip import MARGIN, RangeStrip
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
@@ -21,67 +20,52 @@ from bubbleviz_ui.shell.dock import fill, push_button
 
 
 HEIGHT = 120
+COLOURS = theme.BLUE, theme.FARTHER  # Of depth, and of gas pressure
 LOWEST, LEAST_TOP, MOST = 0.1, 200.0, 1e4
 """Lower end of the logarithmic axis, smallest and largest upper end, standard deviations."""
-COLOURS = {"depth": theme.BLUE, "gas pressure": theme.FARTHER}
 
 
-class ScorePlot(QWidget):
-    """Deviation from rest in standard deviations, on a logarithmic axis, aligned with the strip.
-
-    Painted directly, as a pyqtgraph plot would keep its window alive through its menus.
-    """
+class ScorePlot(PlotHost):
+    """Deviation from rest in standard deviations, on a logarithmic axis, aligned with the strip."""
 
     def __init__(self) -> None:
-        super().__init__()
+        super().__init__(self._make)
         self.setFixedHeight(HEIGHT)
         self.setToolTip(
             "Change from rest, in standard deviations, of the gas pressure and of the 1 % of the "
-            f"depth image that changed most. Above the dashed line ({SIGNIFICANT:g} σ) for several "
+            f"depth image that changed most. Above the line ({SIGNIFICANT:g} σ) for several "
             "frames: contact"
         )
-        self._scores: dict[str, np.ndarray] = {}
-        self._axis = TimeAxis(np.zeros(0))
+        self._found: ContactFree | None = None
+        self.seen.connect(self._draw)
 
     def show_scores(self, found: ContactFree | None, axis: TimeAxis) -> None:
         """Show the scores of a search for contact-free frames; None hides the plot."""
+        self._found, self._axis = found, axis
         self.setVisible(found is not None)
-        self._scores, self._axis = {}, axis
-        if found is not None:
-            both = {"depth": found.depth_score, "gas pressure": found.pressure_score}
-            self._scores = {name: each for name, each in both.items() if each is not None}
-        self.update()
+        self._draw()
 
-    def paintEvent(self, event: QPaintEvent) -> None:
-        """Draw curves, threshold and axis labels."""
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        colours = theme.of(self)
-        painter.fillRect(self.rect(), QColor(colours.view))
-        peaks = [float(each.max()) for each in self._scores.values()]
-        highest = min(max([LEAST_TOP, *peaks]), MOST)
-        painter.setPen(QColor(colours.dim))
-        for decade in (1.0, 10.0, 100.0):
-            y = self._y(decade, highest)
-            painter.drawText(QPointF(MARGIN + 14, y + 4), f"{decade:g} σ")
-            painter.drawLine(QPointF(MARGIN, y), QPointF(MARGIN + 10, y))
-        painter.setPen(QPen(QColor(colours.dim), 1.0, Qt.PenStyle.DashLine))
-        level = self._y(SIGNIFICANT, highest)
-        painter.drawLine(QPointF(MARGIN, level), QPointF(self.width() - MARGIN, level))
-        for number, (name, score) in enumerate(self._scores.items()):
-            painter.setPen(QColor(COLOURS[name]))
-            painter.drawText(QPointF(MARGIN + 70 + 60 * number, 16), name)
-            wide = self.width() - 2 * MARGIN
-            points = [
-                QPointF(MARGIN + place * wide, self._y(float(value), highest))
-                for place, value in zip(self._axis.places, score, strict=True)
-            ]
-            painter.drawPolyline(QPolygonF(points))
-        painter.end()
+    def _make(self) -> list[Part]:
+        self._plot = Plot("nothing", left="logarithm")
+        self._curves = [self._plot.add_curve(colour) for colour in COLOURS]
+        self._plot.add_line(angle=0, pos=np.log10(SIGNIFICANT))
+        self.arrange([self._plot.item])
+        return [self._plot]
 
-    def _y(self, score: float, highest: float) -> float:
-        share = np.log10(min(max(score, LOWEST), highest) / LOWEST) / np.log10(highest / LOWEST)
-        return 4.0 + (self.height() - 8.0) * (1.0 - float(share))
+    def _draw(self) -> None:
+        if not self.ready or self._found is None:
+            return
+        highest, words = LEAST_TOP, ["change from rest (σ):"]
+        scores = ("depth", self._found.depth_score), ("gas pressure", self._found.pressure_score)
+        for curve, colour, (name, score) in zip(self._curves, COLOURS, scores, strict=True):
+            curve.clear()
+            if score is not None:
+                curve.setData(self._axis.places, np.log10(np.clip(score, LOWEST, MOST)))
+                highest = max(highest, min(float(score.max()), MOST))
+                words.append(f'<span style="color:{colour}">{name}</span>')
+        ends = np.log10([LOWEST, highest])
+        self._plot.box.setRange(xRange=(0.0, 1.0), yRange=ends, padding=0.0)
+        self._plot.write(" ".join(words))
 
 
 ENDED_BY = {
@@ -180,7 +164,10 @@ class FramesPage(Page):
         self.set_ranges(as_ranges({*present} - {*self._chosen}), removed)
 
     def _lay_out(self) -> None:
-        fill(self.column, self.strip, self.plot, self.message)
+        # the same time axis in both
+        strip = fill(QHBoxLayout(), self.strip, margins=(LEFT - MARGIN, 0, 0, 0))
+        plot = fill(QHBoxLayout(), self.plot, margins=(0, 0, MARGIN - RIGHT, 0))
+        fill(self.column, strip, plot, self.message)
         numbers = (QLabel("frames"), self.first, QLabel("to"), self.last, 1)
         buttons = (self.add, self.remove, self.replace, self.find_again, 1)
         rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]

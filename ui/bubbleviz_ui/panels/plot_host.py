@@ -120,8 +120,8 @@ class PlotHost(QWidget):
 # pyqtgraph is imported with the first plot, which saves 0.2 s at start.
 
 
-LEFT, BOTTOM, HEADING = 46, 20, 17
-"""Space for the axes and the heading, screen pixels."""
+LEFT, RIGHT, BOTTOM, HEADING = 46, 4, 20, 17
+"""Space for the axes, beside them, and for the heading, screen pixels."""
 TICK_SPACING = 56
 """Smallest distance of time ticks, screen pixels."""
 
@@ -155,12 +155,16 @@ class Plot(Cell):
 
     Built without pyqtgraph's `PlotItem`, which creates a dozen menus that outlive a window.
 
-    `below`: Quantity of the bottom axis.
+    `below`, `left`: Quantities of the axes.
     `mouse`: Axes along which the mouse moves and zooms it.
     """
 
     def __init__(
-        self, below: Literal["seconds", "logarithm", "number"], *, mouse: str = ""
+        self,
+        below: Literal["seconds", "logarithm", "number", "nothing"],
+        *,
+        left: Literal["number", "logarithm"] = "number",
+        mouse: str = "",
     ) -> None:
         import pyqtgraph as pg  # not at start
 
@@ -169,10 +173,11 @@ class Plot(Cell):
         self.box.setMouseEnabled(x="x" in mouse, y="y" in mouse)
         timed = below == "seconds"
         self._axes = [pg.AxisItem("left"), _seconds() if timed else pg.AxisItem("bottom")]
-        self._axes[1].setLogMode(below == "logarithm")
+        for axis, quantity in zip(self._axes, (left, below), strict=True):
+            axis.setLogMode(quantity == "logarithm")
         self._themed: list[tuple[Any, bool, int]] = []  # Item, whether as bright as text, width
         self.item.layout.setSpacing(0)
-        self.item.layout.setContentsMargins(0, HEADING, 4, 0)
+        self.item.layout.setContentsMargins(0, HEADING, RIGHT, 0)
         self.item.addItem(self._axes[0], 0, 0)
         self.item.addItem(self.box, 0, 1)
         self.item.addItem(self._axes[1], 1, 1)
@@ -181,7 +186,7 @@ class Plot(Cell):
             axis.enableAutoSIPrefix(False)
             axis.setGrid(40)
         self._axes[0].setWidth(LEFT)
-        self._axes[1].setHeight(BOTTOM)
+        self._axes[1].setHeight(0 if below == "nothing" else BOTTOM)
 
     def add_curve(self, colour: Any = None, *, width: int = 1, **look: Any) -> Any:
         """Add a curve, broken at NaN; without a colour in that of secondary text.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -22,6 +23,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
+from bubbleviz.result import Pose
 from bubbleviz.wording import count_of
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
@@ -37,6 +39,7 @@ from bubbleviz_ui.shell.file_dialogs import file_to_open, name_of_output, new_fi
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 if TYPE_CHECKING:
+    from bubbleviz.output import PoseRow
     from bubbleviz_ui.pose.pose_session import PoseSession
 
 
@@ -68,31 +71,25 @@ class Curves(PlotHost):
         self.arrange([curve.item for curve in every], columns=2)
         return list(every)
 
-    def draw_iterations(self, one: np.ndarray, two: np.ndarray) -> None:
-        """Draw the histories (i, 2) of both stages, one after the other."""
-        both = np.concatenate([one, two])
-        self._draw(self.iterations, np.arange(len(both)), both, len(one))
-
-    def draw_frames(self, numbers: np.ndarray, time_s: np.ndarray, values: np.ndarray) -> None:
-        """Draw fitness and rmse in m, (f, 2), over time; lines break at missing frames."""
-        breaks = np.flatnonzero(np.diff(numbers) > 1) + 1
+    def draw(self, pose: Pose | None, rows: Sequence[PoseRow]) -> None:
+        """Draw the iterations of a fit, both stages one after the other, and the frames so far."""
+        if not self.ready:
+            return
+        fits = () if pose is None else (pose.stage_one, pose.stage_two)
+        stages = [stage.history for stage in fits if stage is not None]
+        both = np.concatenate([np.zeros((0, 2)), *stages])
+        numbers, time_s, *quality = (
+            np.array([(row["frame"], row["time_s"], row["fitness"], row["rmse_m"]) for row in rows])
+            .reshape(-1, 4)
+            .T
+        )
+        breaks = np.flatnonzero(np.diff(numbers) > 1) + 1  # at missing frames
         times = np.insert(time_s, breaks, time_s[breaks])
-        self._draw(self.frames, times, np.insert(values, breaks, np.nan, axis=0), None)
-
-    def clear_iterations(self) -> None:
-        """Clear the iterations, for a pose that was not fitted."""
-        self._draw(self.iterations, np.zeros(0), np.zeros((0, 2)), None)
-
-    def clear(self) -> None:
-        """Clear all plots."""
-        self.clear_iterations()
-        self._draw(self.frames, np.zeros(0), np.zeros((0, 2)), None)
-
-    def _draw(
-        self, curves: tuple[Curve, Curve], x: np.ndarray, values: np.ndarray, change: int | None
-    ) -> None:
+        values = np.insert(np.array(quality), breaks, np.nan, axis=1)
         for k, unit in enumerate((self._units.share, self._units.length)):
-            curves[k].draw(x, values[:, k], unit, change)
+            change = len(stages[0]) if stages else None
+            self.iterations[k].draw(np.arange(len(both)), both[:, k], unit, change)
+            self.frames[k].draw(times, values[k], unit)
 
 
 def _pair(below: Below) -> tuple[Curve, Curve]:
@@ -112,7 +109,9 @@ class Curve(Plot):
         self.curve = self.add_curve(colour, symbolSize=4, symbolBrush=colour, symbolPen=None)
         self.change = self.add_line()
 
-    def draw(self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None) -> None:
+    def draw(
+        self, x: np.ndarray, values: np.ndarray, unit: Unit, change: int | None = None
+    ) -> None:
         """Draw values (k,) in SI, NaN if missing, with a line at the start of stage two."""
         symbol = "o" if isolated(values).any() else None
         self.curve.setData(x, unit.from_si(1.0) * values, symbol=symbol)
@@ -433,19 +432,7 @@ class PosePanel(QWidget):
         self.patch.setText(f"{title}: {area}" if area else title)
 
     def _draw_curves(self) -> None:
-        pose, curves = self.session.pose, self.curves
-        if pose is not None:
-            curves.show()
-        if not curves.ready:
-            return
-        if pose is None:
-            curves.clear()
-        elif pose.stage_one is not None and pose.stage_two is not None:
-            curves.draw_iterations(pose.stage_one.history, pose.stage_two.history)
-        else:
-            curves.clear_iterations()
+        if self.session.pose is not None:
+            self.curves.show()
         rows = [self.session.rows[k] for k in sorted(self.session.rows)]
-        if rows:
-            numbers, times = np.array([(row["frame"], row["time_s"]) for row in rows]).T
-            values = np.array([(row["fitness"], row["rmse_m"]) for row in rows])
-            curves.draw_frames(numbers, times, values)
+        self.curves.draw(self.session.pose, rows)
