@@ -18,7 +18,7 @@ from window_driver import LEFT, PLAIN, turn_wheel
 from bubbleviz.calibration import Step
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
-from bubbleviz_ui.calibration import calibration_panel
+from bubbleviz_ui.calibration import calibration_panel, levels_page
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
 from tests.small_press import changed
@@ -147,7 +147,7 @@ def test_each_step_shows_name_state_task_and_errors_and_begins_anew_with_a_recor
     assert panel.page is panel.frames and panel.steps.button(0).toolTip().endswith("to do")
     panel.go_to(1)
     assert panel.pixels.numbers.text("used") == DASH
-    panel.rectification.set_vented(Path("vented.mcap"))
+    panel.calibration.edit("Open chamber", vented=Path("vented.mcap"))
     panel.go_to(4)
     assert panel.rectification.levels.text().endswith("Open chamber: vented.mcap")
     panel.calibration.cancel()
@@ -336,15 +336,15 @@ def test_panel_takes_the_free_height_and_level_controls_are_visible(drive):
 
 
 @pytest.mark.long
-def test_another_inflation_level_is_added_and_undone(bench, tmp_path):
+def test_another_inflation_level_is_added_and_undone(bench, tmp_path, monkeypatch):
     bench.identify()
     page, low = bench.panel.rectification, small_sensor()
     source = RestingSource(changed(low, membrane={"height_m": 0.042}))
     record(tmp_path / "low.mcap", (source[k] for k in range(8)))
     bench.step(4)
     assert page.numbers.text("line") == "offset only"
-    page.add_level(tmp_path / "low.mcap")
-    bench.done()
+    monkeypatch.setattr(levels_page, "file_to_open", lambda *_, **__: tmp_path / "low.mcap")
+    bench.click(page.add)
     assert bench.found.pixels.line.levels == 2
     assert "2 levels" in page.numbers.text("line")
     assert page.numbers.text("λ").startswith("not determined: ")

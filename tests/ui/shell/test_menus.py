@@ -42,9 +42,9 @@ def test_check_marks_follow_the_state_and_close_shows_the_sensor_at_rest(drive, 
         f"View › {name}" for name in ("Turntable", "Probe a point", "Measure distance and profile")
     )
     driver.click(tools.turn)
-    assert driver.is_checked(turntable) and tools.turntable.turning
+    assert driver.is_checked(turntable) and tools.turntable.isActive()
     driver.trigger(turntable)
-    assert not driver.is_checked(turntable) and not tools.turntable.turning
+    assert not driver.is_checked(turntable) and not tools.turntable.isActive()
     driver.trigger(probe)
     assert driver.is_checked(probe) and tools.tools["probe"].isChecked() and tools.tool == "probe"
     driver.click(tools.tools["distance"])

@@ -303,7 +303,7 @@ def test_saved_picture_turntable_and_layout_of_the_tools_panel(drive, tmp_path):
     driver.wait(lambda: np.linalg.norm(np.array(camera.position) - start) > 0.01)
     driver.click(tools.turn)
     height = camera.position[2]
-    assert height == pytest.approx(start[2], abs=1e-6) and not tools.turntable.turning
+    assert height == pytest.approx(start[2], abs=1e-6) and not tools.turntable.isActive()
     stopped = tuple(camera.position)
     driver.wait_until_shown()
     assert tuple(camera.position) == stopped

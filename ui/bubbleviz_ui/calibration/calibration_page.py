@@ -94,21 +94,11 @@ HEIGHT, BAR = 290, 10
 
 
 class ImageView(QWidget):
-    """Shows one image; after a click the mouse wheel zooms, dragging pans.
-
-    Parameters
-    ----------
-    colouring : {"range", "around zero", "mask"}
-
-    Attributes
-    ----------
-    image : (H, W) array or None
-        Image shown, SI.
-    """
+    """Shows one image; after a click the mouse wheel zooms, dragging pans."""
 
     def __init__(self, colouring: Colouring = "range") -> None:
         super().__init__()
-        self.image: np.ndarray | None = None
+        self.image: np.ndarray | None = None  # Shown, (H, W), SI
         self._unit = Unit("", 1.0, 0)
         self._kind = ImageKind("", colouring)
         self._host = PlotHost(self._make)

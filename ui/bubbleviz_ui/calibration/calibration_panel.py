@@ -23,13 +23,13 @@ from bubbleviz.calibration import Step, grade, headline
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_page import Page
-from bubbleviz_ui.calibration.calibration_session import Calibration, Work
+from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.calibration.frames_page import FramesPage
 from bubbleviz_ui.calibration.levels_page import RectificationPage
 from bubbleviz_ui.calibration.pixels_page import PixelsPage, SurfacePage, TensionPage
 from bubbleviz_ui.calibration.report_page import ReportPage, ValidationPage
 from bubbleviz_ui.engine.solver import OpenRequest
-from bubbleviz_ui.model.messages import CALIBRATION, UserMessage
+from bubbleviz_ui.model.messages import CALIBRATION
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
@@ -50,7 +50,6 @@ class CalibrationPanel(QWidget):
         self._folders: list[TemporaryDirectory[str]] = []
         self._make_pages()
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
-        self._failed_work: Work | None = None
         self._unsaved_sensor: Sensor | None = None  # identified sensor in use before it is saved
         self.verdict = QLabel(wordWrap=True)
         self.back = push_button(
@@ -194,7 +193,6 @@ class CalibrationPanel(QWidget):
         calibration.changed.connect(self._show)
         calibration.restarted.connect(self._begin_anew)
         calibration.progressed.connect(self.progress.show_step)
-        calibration.controller.state.messages.added.connect(self._on_message)
         calibration.controller.opening.about_to_open.connect(self._on_about_to_open)
 
     def _on_next(self) -> None:
@@ -202,7 +200,7 @@ class CalibrationPanel(QWidget):
 
         After a failure, compute the step that failed again.
         """
-        if self._failed:
+        if self.calibration.failed:
             self.calibration.repeat()
             return
         if not isinstance(self.page, FramesPage) or self.calibration.settings.last_step:
@@ -238,18 +236,6 @@ class CalibrationPanel(QWidget):
         waiting.deleteLater()
         return not calibration.unsaved
 
-    def _on_message(self, message: UserMessage) -> None:
-        """Remember the work that failed, until it changes."""
-        if message.topic == CALIBRATION:
-            self._failed_work = self.calibration.work if message.kind == "error" else None
-
-    @property
-    def _failed(self) -> bool:
-        """Whether the last computation failed, and no setting has been changed since."""
-        calibration = self.calibration
-        failed = self._failed_work == calibration.work and calibration.outdated
-        return failed and not calibration.busy
-
     def _show(self) -> None:
         calibration, page = self.calibration, self.page
         answer, busy = calibration.answer, calibration.busy
@@ -265,7 +251,7 @@ class CalibrationPanel(QWidget):
             button.setEnabled(ready)
         computed = following.is_done(answer) and not calibration.outdated
         to_do = following.next_title if started else self.frames.next_title
-        if self._failed:
+        if calibration.failed:
             to_do = "Try again"
         self.next.setText(f"Next: {following.title}" if computed else to_do)
         self.next.setEnabled(not needs_collecting and page is not self.report)
@@ -292,7 +278,7 @@ class CalibrationPanel(QWidget):
         """State of a step; failed and doubtful ones need attention."""
         answer, page = self.calibration.answer, self.pages[number]
         changed = self._first_outdated_step()
-        refused = self._failed and number == changed
+        refused = self.calibration.failed and number == changed
         doubtful = answer.found.complete and grade(answer.found) == "doubtful"
         press = answer.found.validation
         failed = press is not None and bool(press.failures)

@@ -109,6 +109,7 @@ class Calibration(QObject):
         self._source: Source | None = None
         self._shown_source: Source | None = None
         self._suspended = False
+        self._failed_work: Work | None = None
         self._cache: OrderedDict[Work, Answer] = OrderedDict()
         self._bench = CurrentWorkbench()
         self._worker = Worker("calibration")
@@ -123,6 +124,11 @@ class Calibration(QObject):
     def outdated(self) -> bool:
         """Whether the results shown belong to other settings: computing, or failed."""
         return self.work != self.answer.work
+
+    @property
+    def failed(self) -> bool:
+        """Whether the last computation failed, and no setting has been changed since."""
+        return self._failed_work == self.work and self.outdated and not self.busy
 
     @property
     def unsaved(self) -> bool:
@@ -232,6 +238,7 @@ class Calibration(QObject):
         self.changed.emit()
 
     def _report_failure(self, failed: Failed) -> None:
+        self._failed_work = self.work
         self.controller.state.messages.add(
             "error", failed.message, failed.details, topic=CALIBRATION
         )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from PySide6.QtWidgets import QHBoxLayout, QLabel
 
@@ -31,7 +29,7 @@ class RectificationPage(Page):
         self.add = push_button(
             "Add a level…",
             "Recording of the untouched sensor at another inflation level",
-            self._choose_level,
+            self._add_level,
         )
         self.drop = push_button(
             "Remove the last",
@@ -47,14 +45,6 @@ class RectificationPage(Page):
         row = fill(QHBoxLayout(), self.add, self.drop)
         # controls first: a small screen shows no more without scrolling
         fill(self.column, self.levels, row, self.vented, self.before, self.after, self.numbers, 1)
-
-    def add_level(self, path: Path) -> None:
-        levels = (*self.calibration.settings.levels, path)
-        self.calibration.edit(f"Add the level {path.name}", levels=levels)
-
-    def set_vented(self, path: Path) -> None:
-        """Use a recording of the open chamber for the atmospheric pressure."""
-        self.calibration.edit(f"Choose the open-chamber recording {path.name}", vented=path)
 
     def is_done(self, answer: Answer) -> bool:
         return bool(answer.work.settings.levels or answer.work.settings.vented)
@@ -113,9 +103,10 @@ class RectificationPage(Page):
     def _choose_vented(self) -> None:
         path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")
         if path is not None:
-            self.set_vented(path)
+            self.calibration.edit(f"Choose the open-chamber recording {path.name}", vented=path)
 
-    def _choose_level(self) -> None:
+    def _add_level(self) -> None:
         path = file_to_open(self, "Add an inflation level", RECORDINGS, of="recording")
         if path is not None:
-            self.add_level(path)
+            levels = (*self.calibration.settings.levels, path)
+            self.calibration.edit(f"Add the level {path.name}", levels=levels)

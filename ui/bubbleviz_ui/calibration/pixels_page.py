@@ -43,14 +43,17 @@ class PixelsPage(Page):
         self.picture.addItems(PICTURES)
         self.picture.setToolTip("Quantity shown for each pixel")
         self.view = ImageView()
-        self.validity = Threshold(units.share, 1.0, "automatic")
-        self.deviations = Threshold(Unit("σ", 1.0, 1), MOST_DEVIATIONS)
-        self.validity.tip(
+        self.validity = Threshold(
+            units.share,
+            1.0,
             "Share of the frames in which a pixel must have valid depth to be used; lowest value: "
-            "automatic"
+            "automatic",
+            "automatic",
         )
-        self.deviations.tip(
-            "Pixels with noise or offset beyond this many robust standard deviations are excluded"
+        self.deviations = Threshold(
+            Unit("σ", 1.0, 1),
+            MOST_DEVIATIONS,
+            "Pixels with noise or offset beyond this many robust standard deviations are excluded",
         )
         self.numbers = NumberForm()
         form = QFormLayout()
@@ -110,7 +113,7 @@ class Threshold(QHBoxLayout):
 
     STEPS = 200
 
-    def __init__(self, unit: Unit, highest_si: float, lowest_text: str = "") -> None:
+    def __init__(self, unit: Unit, highest_si: float, tip: str, lowest_text: str = "") -> None:
         super().__init__()
         self._unit, self._highest = unit, highest_si
         self._gestures = 0
@@ -123,15 +126,12 @@ class Threshold(QHBoxLayout):
         self.box.setSuffix(f" {unit.symbol}")
         self.box.setKeyboardTracking(False)
         self.box.setSpecialValueText(lowest_text)
-        self.addWidget(self.slider, 1)
-        self.addWidget(self.box)
+        for part, stretch in ((self.slider, 1), (self.box, 0)):
+            part.setToolTip(tip)
+            self.addWidget(part, stretch)
         self.slider.sliderPressed.connect(self._begin)
         self.slider.valueChanged.connect(self._on_slider)
         self.box.valueChanged.connect(self._on_box)
-
-    def tip(self, text: str) -> None:
-        self.slider.setToolTip(text)
-        self.box.setToolTip(text)
 
     def show_value(self, value_si: float) -> None:
         with QSignalBlocker(self.slider), QSignalBlocker(self.box):

@@ -16,8 +16,7 @@ from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
 from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, PlotHost
-from bubbleviz_ui.panels.time_plot import TRACES, FramePlot, TimePlot
-from bubbleviz_ui.panels.wrench_plot import WrenchPlot
+from bubbleviz_ui.panels.time_plot import TRACES, FramePlot, TimePlot, WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.binding import menu_button

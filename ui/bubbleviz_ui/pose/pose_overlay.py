@@ -95,10 +95,10 @@ class PoseOverlay:
         self._start: np.ndarray | None = None
         self._pose: Pose | None = None
         self._stage = panel.session.stage
-        self.gizmo = Gizmo(view, self._on_dragged)
+        self.gizmo = Gizmo(view, panel.session.set_start)
         self._connections = [
             panel.session.changed.connect(lambda: self._on_changed()),
-            panel.gizmo.connect(lambda on: self._on_gizmo(on)),
+            panel.move_in_view.toggled.connect(lambda on: self._on_gizmo(on)),
         ]
 
     def close(self) -> None:
@@ -138,13 +138,10 @@ class PoseOverlay:
             return
         place = self._scene.object.T_B_O
         T = self._above(session.obj) if place is None else place
-        self._panel.use_start(T)
+        session.set_start(T)
         self.gizmo.show(session.obj, T)
 
     def _above(self, obj: RigidObject) -> np.ndarray:
         T = np.eye(4)
         T[2, 3] = ABOVE_M + float(np.ptp(obj.vertices[:, 2]))
         return T
-
-    def _on_dragged(self, T_B_O: np.ndarray) -> None:
-        self._panel.use_start(T_B_O)

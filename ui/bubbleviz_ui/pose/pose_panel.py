@@ -202,8 +202,6 @@ EVERY_MS = 150
 class PosePanel(QWidget):
     """Controls of a `PoseSession`."""
 
-    gizmo = Signal(bool)  # Show or hide the box widget in the view
-
     def __init__(self, state: SessionState, session: PoseSession) -> None:
         super().__init__()
         self.setAcceptDrops(True)
@@ -326,19 +324,14 @@ class PosePanel(QWidget):
         bind_membership(self.patch, state, "layers", "object_patch")
         self.search.toggled.connect(lambda on: session.set_start(None if on else self.start.pose()))
         self.start.edited.connect(session.set_start)
-        self.move_in_view.toggled.connect(self.gizmo)
         self.curves.seen.connect(self._draw_curves)
         session.changed.connect(self._on_changed)
         state.settings_changed.connect(self._on_settings)
 
-    def use_start(self, T_B_O: np.ndarray) -> None:
-        """Set the initial pose (4, 4)."""
-        self.session.set_start(T_B_O)
-
     def _start_here(self) -> None:
         pose = self.session.pose
         if has_pose(pose):
-            self.use_start(pose.T_B_O)
+            self.session.set_start(pose.T_B_O)
 
     def _copy(self) -> None:
         pose = self.session.pose

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pyvista as pv
 from numpy.typing import ArrayLike
-from PySide6.QtCore import QObject, Qt, QTimer
+from PySide6.QtCore import Qt, QTimer
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonDataModel import vtkPlane
 from vtkmodules.vtkFiltersCore import vtkCutter
@@ -221,25 +221,18 @@ EVERY_MS = 33
 DEGREES_A_SECOND = 30.0
 
 
-class Turntable(QObject):
-    """Rotates the view about its up direction at a constant speed."""
+class Turntable(QTimer):
+    """While active, rotates the view about its up direction at a constant speed."""
 
     def __init__(self, view: View) -> None:
-        super().__init__(view)
+        super().__init__(view, timerType=Qt.TimerType.PreciseTimer, interval=EVERY_MS)
         self._view = view
-        self._last_s = 0.0
-        self._timer = QTimer(self, timerType=Qt.TimerType.PreciseTimer, interval=EVERY_MS)
-        self._timer.timeout.connect(self._turn)
-
-    @property
-    def turning(self) -> bool:
-        """Whether it is rotating."""
-        return self._timer.isActive()
+        self.timeout.connect(self._turn)
 
     def set_turning(self, turning: bool) -> None:
         """Start or stop."""
         self._last_s = time.perf_counter()
-        self._timer.start() if turning else self._timer.stop()
+        self.start() if turning else self.stop()
 
     def _turn(self) -> None:
         now = time.perf_counter()
