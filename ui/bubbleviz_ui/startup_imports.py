@@ -35,6 +35,7 @@ def import_the_window() -> None:
     import_without("matplotlib", "pyplot")
     import_without("scipy", "ndimage")
     import_later("pooch")
+    import_later("pyqtgraph")  # 0.2 s; with the first plot
     charts = defer_class("matplotlib.backends.backend_agg", "FigureCanvasAgg")
     with without_garbage_collection(), charts, substitute_modules(UNUSED):
         # before Qt: PySide6 reads the source of every module imported after it

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+import pyqtgraph as pg
 from PySide6.QtCore import QPointF, Qt
 from PySide6.QtGui import QColor
 from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
@@ -139,13 +140,9 @@ class ImageView(QWidget):
         axis.setTextPen(text)
 
     def _colour_map(self) -> Any:
-        import pyqtgraph as pg  # not at start
-
         return pg.ColorMap(None, self._cell.table)
 
     def _make(self) -> list[Part]:
-        import pyqtgraph as pg  # not at start
-
         self._cell = ImageCell(self._kind, head=0.0)
         self._bar = pg.ColorBarItem(
             colorMap=self._colour_map(),

@@ -8,6 +8,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pyqtgraph as pg
 from matplotlib import colormaps
 from PySide6.QtCore import QPointF, QSize, Qt
 from PySide6.QtGui import QColor, QResizeEvent
@@ -57,8 +58,6 @@ class ImageCell(Cell):
     """
 
     def __init__(self, kind: ImageKind, head: float = 2 * HEADING - 3) -> None:
-        import pyqtgraph as pg  # 0.2 s later than the window
-
         super().__init__(head=head)
         self.kind = kind
         self.image: np.ndarray | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, Protocol
 
+import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, Signal
 from PySide6.QtGui import QColor, QPalette, QShowEvent
 from PySide6.QtWidgets import QVBoxLayout, QWidget
@@ -21,8 +22,8 @@ class Part(Protocol):
 
 
 def import_plots() -> None:
-    """Import pyqtgraph in advance; creates no Qt objects, so a thread may do it."""
-    import pyqtgraph  # noqa: F401  not at start
+    """Import pyqtgraph before the first plot; creates no Qt objects, so a thread may do it."""
+    pg.PlotDataItem  # noqa: B018  see `startup_imports`
 
 
 class PlotHost(QWidget):
@@ -53,8 +54,6 @@ class PlotHost(QWidget):
     def prepare(self) -> None:
         """Create the canvas and its parts."""
         if self.canvas is None:
-            import pyqtgraph as pg  # not at start
-
             self.canvas = pg.GraphicsLayoutWidget()
             self.canvas.ci.layout.setSpacing(self._spacing)
             self.canvas.ci.setContentsMargins(0, 0, 0, 0)
@@ -116,8 +115,6 @@ class PlotHost(QWidget):
 
 
 # Common style of all plots: axes, grid, and a heading.
-#
-# pyqtgraph is imported with the first plot, which saves 0.2 s at start.
 
 
 LEFT, RIGHT, BOTTOM, HEADING = 46, 4, 20, 17
@@ -130,8 +127,6 @@ class Cell:
     """A plot or an image with a heading, in the grid of a `PlotHost`."""
 
     def __init__(self, left: float = 0.0, head: float = HEADING) -> None:
-        import pyqtgraph as pg  # not at start
-
         self.item: Any = pg.GraphicsLayout()
         self.item.layout.setContentsMargins(0, head, 0, 0)
         self.text = ""  # Heading, as HTML
@@ -166,8 +161,6 @@ class Plot(Cell):
         left: Literal["number", "logarithm"] = "number",
         mouse: str = "",
     ) -> None:
-        import pyqtgraph as pg  # not at start
-
         super().__init__(LEFT - 6.0)
         self.box = pg.ViewBox(enableMenu=False)  # Holds the curves
         self.box.setMouseEnabled(x="x" in mouse, y="y" in mouse)
@@ -193,8 +186,6 @@ class Plot(Cell):
 
         `look`: Arguments of pyqtgraph's `mkPen`, or of `PlotDataItem` for symbols.
         """
-        import pyqtgraph as pg  # not at start
-
         symbols = {name: look.pop(name) for name in [*look] if name.startswith("symbol")}
         curve = pg.PlotDataItem(connect="finite", **symbols)
         self.box.addItem(curve)
@@ -206,8 +197,6 @@ class Plot(Cell):
 
     def add_dots(self, size: int, colour: str, *, filled: bool = True) -> Any:
         """Add points, of a size in px."""
-        import pyqtgraph as pg  # not at start
-
         brush, pen = (colour, None) if filled else (None, colour)
         dots = pg.ScatterPlotItem(size=size, brush=brush, pen=pen)
         self.box.addItem(dots)
@@ -215,8 +204,6 @@ class Plot(Cell):
 
     def add_line(self, *, bright: bool = False, width: int = 1, **how: Any) -> Any:
         """Add a line across the plot, in the colour of text; arguments of `InfiniteLine`."""
-        import pyqtgraph as pg  # not at start
-
         line = pg.InfiniteLine(**how)
         self.box.addItem(line, ignoreBounds=True)
         self._themed.append((line, bright, width))
@@ -234,7 +221,6 @@ class Plot(Cell):
 
 def _seconds() -> Any:
     """Time axis with ticks in s."""
-    import pyqtgraph as pg  # not at start
 
     class Seconds(pg.AxisItem):  # type: ignore[misc]
         def tickSpacing(self, first: float, last: float, size: float) -> list[tuple[float, float]]:
