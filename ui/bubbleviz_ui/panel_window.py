@@ -198,7 +198,7 @@ class PanelWindow(QMainWindow):
             worker.close()
         self._memory.close()
         self.undo_stack.clear()  # steps keep references to what they change
-        self.overlay.close()
+        self.overlay.gizmo.hide()
         self.live_controller.close()
         self.controller.close()
         self.view.close()

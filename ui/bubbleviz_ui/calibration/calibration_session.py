@@ -145,9 +145,10 @@ class Calibration(QObject):
     def settings(self) -> Settings:
         return self.work.settings
 
-    def edit(self, text: str, gesture: Hashable = None, **changes: Any) -> None:
-        """Change settings by name, as an undo step."""
+    def edit(self, text: str, *, dragged: bool = False, **changes: Any) -> None:
+        """Change settings by name, as an undo step; `dragged`: one step for all of a gesture."""
         new = replace(self.work, settings=replace(self.settings, **changes))
+        gesture = (text, self.undo.current_gesture()) if dragged else None
         self._push(text, new, gesture)
 
     def use_collected(self, frames: HeldFrames, settings: Settings) -> None:

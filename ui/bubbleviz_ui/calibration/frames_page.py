@@ -120,7 +120,7 @@ class FramesPage(Page):
         self.calibration.edit(what, ranges=ranges, last_step=reached)
 
     def show_answer(self, answer: Answer) -> None:
-        ranges, before = self.ranges(answer), self.strip.ranges
+        ranges, before = answer.found.ranges, self.strip.ranges
         self.strip.set_ranges(answer.axis, ranges)
         self.plot.show_scores(answer.found.contact_free, answer.axis)
         for box in (self.first, self.last):
@@ -143,23 +143,19 @@ class FramesPage(Page):
             text += f" – found automatically; {ENDED_BY[found.ended_by]}"
         self.message.setText(text)
 
-    @staticmethod
-    def ranges(answer: Answer) -> Ranges:
-        return answer.found.ranges
-
     @property
     def _chosen(self) -> range:
         return range(self.first.value(), self.last.value() + 1)
 
     def _on_add(self) -> None:
-        present = frame_numbers(self.ranges(self.calibration.answer))
+        present = frame_numbers(self.calibration.answer.found.ranges)
         self.set_ranges(as_ranges([*present, *self._chosen]), "Add frames")
 
     def _on_replace(self) -> None:
         self.set_ranges(as_ranges(self._chosen), "Replace frames")
 
     def _on_remove(self) -> None:
-        present = frame_numbers(self.ranges(self.calibration.answer))
+        present = frame_numbers(self.calibration.answer.found.ranges)
         removed = f"Remove frames {self.first.value()}–{self.last.value()}"
         self.set_ranges(as_ranges({*present} - {*self._chosen}), removed)
 

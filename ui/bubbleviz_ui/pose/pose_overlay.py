@@ -86,26 +86,19 @@ ABOVE_M = 0.02
 """Height of an object without a pose above the origin of B, in addition to its own height."""
 
 
-class PoseOverlay:
+class PoseOverlay(QObject):
     """Draws the object of the pose panel and its fit in the view."""
 
     def __init__(self, view: View, scene: Scene, panel: PosePanel) -> None:
+        super().__init__(panel)
         self._view, self._scene, self._panel = view, scene, panel
         self._obj: RigidObject | None = None
         self._start: np.ndarray | None = None
         self._pose: Pose | None = None
         self._stage = panel.session.stage
         self.gizmo = Gizmo(view, panel.session.set_start)
-        self._connections = [
-            panel.session.changed.connect(lambda: self._on_changed()),
-            panel.move_in_view.toggled.connect(lambda on: self._on_gizmo(on)),
-        ]
-
-    def close(self) -> None:
-        """Remove the box and disconnect, before the view is deleted."""
-        self.gizmo.hide()
-        for wire in self._connections:
-            QObject.disconnect(wire)
+        panel.session.changed.connect(self._on_changed)
+        panel.move_in_view.toggled.connect(self._on_gizmo)
 
     def _on_changed(self) -> None:
         session, layer = self._panel.session, self._scene.object

@@ -24,6 +24,7 @@ from bubbleviz_ui.view3d.layer import (
     LinesLayer,
     Picture,
     Surface,
+    across,
     draw_in_front,
     light_without_highlights,
 )
@@ -217,10 +218,7 @@ class ForceLayer(Layer):
 
 def _place(direction: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:
     """Matrix that places the unit arrow, whose origin is its tip, at a point along a direction."""
-    side = np.eye(3)[int(np.argmin(np.abs(direction)))]
-    second = np.cross(direction, side)
-    second /= np.linalg.norm(second)
-    T = np.eye(4)
+    second, T = across(direction), np.eye(4)
     T[:3, :3] = length * np.column_stack([direction, second, np.cross(direction, second)])
     T[:3, 3] = tip
     return T

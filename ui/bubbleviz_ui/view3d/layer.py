@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pyvista as pv
@@ -137,8 +137,14 @@ class Picture:
 class Layer:
     """A layer of the 3-D view. Its actors are created once and live as long as the view."""
 
+    kinds: ClassVar[dict[str, type[Layer]]] = {}  # All classes by name
     name = ""  # Of `registry.LAYERS`
     clipped = False  # Clipped by the section plane
+
+    def __init_subclass__(cls) -> None:
+        """Make the class that of its name."""
+        if cls.name:
+            Layer.kinds[cls.name] = cls
 
     def __init__(self, canvas: Canvas) -> None:
         self.canvas = canvas
@@ -258,6 +264,13 @@ def new_actor(
     actor = pv.Actor(mapper=mapper, prop=pv.Property(**look))
     view.renderer.AddActor(actor)
     return actor
+
+
+def across(axis: np.ndarray) -> np.ndarray:
+    """A unit vector (3,) across another one."""
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    unit: np.ndarray = side / np.linalg.norm(side)
+    return unit
 
 
 def add_mark(view: View, data: Any, units: float = -6000.0, **look: Any) -> Any:

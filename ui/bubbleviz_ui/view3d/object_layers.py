@@ -12,7 +12,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, rgb
-from bubbleviz_ui.view3d.layer import Canvas, Layer, Segments, cells, draw_in_front
+from bubbleviz_ui.view3d.layer import Canvas, Layer, Segments, across, cells, draw_in_front
 
 DETERMINED, UNDETERMINED, LOST = theme.GREEN, theme.AMBER, theme.GAP
 OPACITY = 0.45  # so that the membrane shows behind it
@@ -123,37 +123,32 @@ class FitLayer(Layer):
         self._points.point_data["distance"] = pose.distance_m
         self._points.GetPointData().SetActiveScalars("distance")
         self.lines.draw(np.stack([pose.points_m, pose.places_m], axis=1))
-        self.arrows.draw(undetermined_arrows(pose, self._length).reshape(-1, 2, 3))
+        self.arrows.draw(undetermined_arrows(pose, self._length))
 
 
 def undetermined_arrows(pose: Pose, length_m: float) -> np.ndarray:
-    """End points (2 k, 3) in B of the segments of arrows along undetermined directions.
+    """Segments (k, 2, 3) in B of arrows along undetermined directions.
 
     A translation is a straight double arrow, a rotation an arc around its axis.
     """
     shifts, turns = open_axes(pose.motions[:, ~pose.determined])
-    pieces = [np.zeros((0, 3))]
+    pieces = [np.zeros((0, 2, 3))]
     for axis in shifts:
         line = pose.center_m + length_m * np.array([[-1.0], [0.0], [1.0]]) * axis
-        pieces.append(_arrow(line, _across(axis)))
+        pieces.append(_arrow(line, across(axis)))
     for axis in turns:
-        side = _across(axis)
+        side = across(axis)
         around = np.cos(_ARC)[:, None] * side + np.sin(_ARC)[:, None] * np.cross(axis, side)
         pieces.append(_arrow(pose.center_m + 0.5 * length_m * around, axis))
     return np.concatenate(pieces)
 
 
-def _across(axis: np.ndarray) -> np.ndarray:
-    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-    return side / np.linalg.norm(side)
-
-
 def _arrow(line: np.ndarray, side: np.ndarray) -> np.ndarray:
-    """End points of the segments of a double arrow along a polyline (p, 3), barbs along `side`."""
-    pieces = [np.stack([line[:-1], line[1:]], axis=1).reshape(-1, 3)]
+    """Segments of a double arrow along a polyline (p, 3), with barbs along `side`."""
+    pieces = [np.stack([line[:-1], line[1:]], axis=1)]
     size = _HEAD * float(np.linalg.norm(line[-1] - line[len(line) // 2]))
     for tip, before in ((line[-1], line[-2]), (line[0], line[1])):
         back = (before - tip) / np.linalg.norm(before - tip)
         for sign in (-1.0, 1.0):
-            pieces.append(np.stack([tip, tip + size * (back + 0.5 * sign * side)]))
+            pieces.append(np.array([[tip, tip + size * (back + 0.5 * sign * side)]]))
     return np.concatenate(pieces)

@@ -22,22 +22,11 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.view3d.colours import Scales
-from bubbleviz_ui.view3d.contact_layers import (
-    ComparedLayer,
-    ContourLayer,
-    ForceLayer,
-    MembraneLayer,
-    ObjectPatchLayer,
-    ReadoutLayer,
-    TextureLayer,
-    TractionLayer,
-    VectorsLayer,
-    WireframeLayer,
-)
+from bubbleviz_ui.view3d.contact_layers import ComparedLayer, ReadoutLayer
 from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture, Surface
 from bubbleviz_ui.view3d.object_layers import FitLayer, ObjectLayer
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.sensor_layers import AxesLayer, CloudLayer, FrustumLayer, RimLayer
+from bubbleviz_ui.view3d.sensor_layers import RimLayer
 from bubbleviz_ui.view3d.text import MIN_HEIGHT, WIDTH, ColourBar
 from bubbleviz_ui.view3d.tools import (
     DIRECTIONS,
@@ -50,27 +39,6 @@ from bubbleviz_ui.view3d.tools import (
 )
 
 # The layers of one sensor.
-
-
-CLASSES: tuple[type[Layer], ...] = (
-    MembraneLayer,
-    TextureLayer,
-    WireframeLayer,
-    ContourLayer,
-    ObjectPatchLayer,
-    ComparedLayer,
-    CloudLayer,
-    ForceLayer,
-    ReadoutLayer,
-    FrustumLayer,
-    RimLayer,
-    VectorsLayer,
-    TractionLayer,
-    ObjectLayer,
-    FitLayer,
-    AxesLayer,
-)
-"""Classes of the layers in the registry."""
 
 
 L = TypeVar("L", bound=Layer)
@@ -88,7 +56,7 @@ class DrawnLayers:
     ) -> None:
         self.surface, self._scales = Surface(units), scales
         canvas = Canvas(view, self.surface, units)
-        self.by_name = {made.name: made(canvas) for made in CLASSES if made.name in names}
+        self.by_name = {name: Layer.kinds[name](canvas) for name in LAYERS if name in names}
         for layer in self.by_name.values():
             layer.set_visible(False)  # until there is a result
         self._picture: Picture | None = None
