@@ -65,7 +65,7 @@ class KappaPanel(QWidget):
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
         self.box.setKeyboardTracking(False)
         self.solver = control(state, "solver")
-        self.numbers = tuple(_value() for _ in range(4))
+        self.numbers = tuple(theme.bold(QLabel()) for _ in range(4))
         self.threshold, self.area, self.by_object, self.force = self.numbers
         self.area.setToolTip(
             "Area on the membrane at rest; in brackets the areas inside the two thin lines, the "
@@ -131,10 +131,6 @@ class KappaPanel(QWidget):
         self.force.setText(force)
         self.doubt.setText("" if result is None else untrusted_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))
-
-
-def _value() -> QLabel:
-    return theme.bold(QLabel())
 
 
 def _to_steps(kappa: float | None) -> int | None:

@@ -9,7 +9,6 @@ from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics import profile
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
 from bubbleviz_ui.shell.dock import fill
@@ -28,7 +27,6 @@ class ProfilePlot(QWidget):
         super().__init__()
         self._state, self._controller = state, controller
         self._ends_m: np.ndarray | None = None
-        self._opened: Opened | None = None
         self._host = PlotHost(self._make)
         self._host.setFixedHeight(HEIGHT)
         fill(QVBoxLayout(self), self._host, margins=(0, 0, 0, 0))
@@ -39,7 +37,6 @@ class ProfilePlot(QWidget):
         )
         self.hide()
         self._host.seen.connect(self._draw)
-        controller.opened.connect(self._on_opened)
         controller.shown.connect(self._draw)
 
     def show_line(self, ends_m: np.ndarray | None) -> None:
@@ -47,9 +44,6 @@ class ProfilePlot(QWidget):
         self._ends_m = ends_m
         self.setVisible(ends_m is not None)
         self._draw()
-
-    def _on_opened(self, opened: Opened) -> None:
-        self._opened = opened
 
     def _make(self) -> list[Part]:
         self.above, self.below = Plot("number", mouse="xy"), Plot("number", mouse="xy")
@@ -61,7 +55,7 @@ class ProfilePlot(QWidget):
         return [self.above, self.below]
 
     def _draw(self, _: Any = None) -> None:
-        opened, result = self._opened, self._controller.result
+        opened, result = self._controller.client.opened, self._controller.result
         if not self._host.ready or self._ends_m is None or opened is None or result is None:
             return
         found = profile(opened.camera, opened.mesh, result, self._ends_m)

@@ -47,7 +47,9 @@ class ObjectLayer(Layer):
     def show_pose(self, pose: Pose, stage: int) -> None:
         """Draw it at a stage of a pose, coloured by how well that is determined."""
         known = DETERMINED if pose.determined.all() else UNDETERMINED
-        self.put(shown_pose(pose, stage), known if pose.status == "ok" else LOST)
+        first = pose.stage_one if stage == 1 else None
+        T_B_O = pose.T_B_O if first is None else first.T_B_O
+        self.put(T_B_O, known if pose.status == "ok" else LOST)
 
     def put(self, T_B_O: np.ndarray | None, colour: str = DETERMINED) -> None:
         """Draw it at a pose (4, 4); None hides it."""
@@ -56,13 +58,6 @@ class ObjectLayer(Layer):
             self.actor.user_matrix = self.T_B_O
             self.actor.prop.color = colour
         self._set_drawn(self._has_mesh and self.T_B_O is not None)
-
-
-def shown_pose(pose: Pose, stage: int) -> np.ndarray:
-    """T_B_O (4, 4) of the chosen stage."""
-    if stage == 1 and pose.stage_one is not None:
-        return pose.stage_one.T_B_O
-    return pose.T_B_O
 
 
 # Fit of the object: distances of contact points, correspondences, undetermined directions.

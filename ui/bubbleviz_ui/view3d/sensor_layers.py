@@ -12,11 +12,9 @@ from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.result import Result
 from bubbleviz.sensor import Camera, Sensor
-from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import lookup_table, residual_colours, rgb
 from bubbleviz_ui.view3d.layer import Canvas, Layer, Picture
-from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.text import ColourBar, set_text_style
 
 CORNER = 80
@@ -27,66 +25,52 @@ TICK, BOTTOM, TEXT = 5.0, 10.0, 13  # px
 
 
 class AxesLayer(Layer):
-    """Axes of B in a corner, and a scale bar next to them."""
+    """Axes of B in a corner, and next to them a scale bar of a round length (1, 2, 5 · 10ᵏ).
+
+    The bar is valid at the depth of the centre of rotation.
+    """
 
     name = "axes"
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
-        self._axes = canvas.view.add_axes(interactive=False, xlabel="x", ylabel="y", zlabel="z")
+        view = canvas.view
+        axes = view.add_axes(interactive=False, xlabel="x", ylabel="y", zlabel="z")
         for caption in (
-            self._axes.GetXAxisCaptionActor2D(),
-            self._axes.GetYAxisCaptionActor2D(),
-            self._axes.GetZAxisCaptionActor2D(),
+            axes.GetXAxisCaptionActor2D(),
+            axes.GetYAxisCaptionActor2D(),
+            axes.GetZAxisCaptionActor2D(),
         ):
-            set_text_style(canvas.view, caption.GetCaptionTextProperty(), TEXT)
+            set_text_style(view, caption.GetCaptionTextProperty(), TEXT)
             caption.GetTextActor().SetTextScaleModeToNone()
-        scale = ScaleBar(canvas.view, canvas.units, left=CORNER)
-        self.actors += [self._axes, *scale.actors]
-        canvas.view.rendering.connect(self._fit)
-
-    def _fit(self) -> None:
-        """Keep the size of the axes in pixels."""
-        width, height = self.canvas.view.size_px
-        widget = self.canvas.view.renderer.axes_widget
-        widget.SetViewport(0.0, 0.0, min(CORNER / width, 1.0), min(CORNER / height, 1.0))
-
-
-class ScaleBar:
-    """Scale bar of a round length (1, 2, 5 · 10ᵏ) at the bottom of the view.
-
-    Valid at the depth of the centre of rotation.
-
-    `left`: Left end, pixels.
-    """
-
-    def __init__(self, view: View, units: Units, left: float) -> None:
-        self._view, self._units, self._left = view, units, left
         self._bar = pv.PolyData(np.zeros((4, 3)), lines=[4, 0, 1, 2, 3])
         mapper = vtkPolyDataMapper2D()
         mapper.SetInputData(self._bar)
         self._line, self._label = vtkActor2D(), vtkTextActor()
         self._line.SetMapper(mapper)
         set_text_style(view, self._label.GetTextProperty(), TEXT)
-        self.actors = [self._line, self._label]
-        for actor in self.actors:
+        for actor in (self._line, self._label):
             view.renderer.AddViewProp(actor)
+        self.actors += [axes, self._line, self._label]
         view.follow_theme(self._paint)
         view.rendering.connect(self._fit)
 
     def _fit(self) -> None:
-        """Choose and draw the length before a render."""
-        (width, height), camera = self._view.size_px, self._view.camera
-        pixel_m = 2.0 * camera.distance * math.tan(math.radians(camera.view_angle) / 2.0) / height
+        """Keep the size of the axes in pixels; choose and draw the length of the scale bar."""
+        view, (width, height) = self.canvas.view, self.canvas.view.size_px
+        corner = min(CORNER / width, 1.0), min(CORNER / height, 1.0)
+        view.renderer.axes_widget.SetViewport(0.0, 0.0, *corner)
+        half_angle = math.radians(view.camera.view_angle) / 2.0
+        pixel_m = 2.0 * view.camera.distance * math.tan(half_angle) / height
         length_m = _round_length(SHARE * width * pixel_m)
-        left, right, top = self._left, self._left + length_m / pixel_m, BOTTOM + TICK
+        left, right, top = CORNER, CORNER + length_m / pixel_m, BOTTOM + TICK
         ends = np.array([[left, top], [left, BOTTOM], [right, BOTTOM], [right, top]])
-        self._bar.points[:, :2] = np.round(self._view.pixel_ratio * ends)
+        self._bar.points[:, :2] = np.round(view.pixel_ratio * ends)
         self._bar.Modified()
-        self._line.GetProperty().SetLineWidth(2.0 * self._view.pixel_ratio)
-        unit = self._units.length
+        self._line.GetProperty().SetLineWidth(2.0 * view.pixel_ratio)
+        unit = self.canvas.units.length
         self._label.SetInput(f"{unit.from_si(length_m):.4g} {unit.symbol}")
-        self._label.SetPosition(self._view.pixel_ratio * left, self._view.pixel_ratio * (top + 2.0))
+        self._label.SetPosition(view.pixel_ratio * left, view.pixel_ratio * (top + 2.0))
 
     def _paint(self, colours: theme.Colours) -> None:
         self._line.GetProperty().SetColor(*(c / 255 for c in rgb(colours.text)))
