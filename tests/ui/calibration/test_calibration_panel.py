@@ -9,13 +9,14 @@ import pytest
 from calibration_bench import Bench
 from fakes import DentSource, record, small_sensor
 from pyqtgraph import ViewBox
-from PySide6.QtCore import QPoint, Qt
+from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtWidgets import QGraphicsView
 from resting import REST, TENSION, RestingSource
 from scipy.spatial.transform import Rotation
-from window_driver import LEFT, PLAIN, turn_wheel
+from window_driver import LEFT, PLAIN, graphics_view, turn_wheel
 
 from bubbleviz.calibration import Step
+from bubbleviz.recordings import SIGNIFICANT
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import calibration_panel, levels_page
@@ -29,6 +30,15 @@ def test_frames_are_chosen_by_mouse_and_keys_removed_and_replaced(bench):
     panel, strip = bench.panel, bench.panel.frames.strip
     bench.click(panel.next)
     assert (panel.frames.first.value(), panel.frames.last.value() + 1) == bench.found.ranges[0]
+    # the deviations from rest below have the same time axis
+    plot = panel.frames.plot
+    view, box, (depth, _) = graphics_view(plot), plot.drawn.box, plot.curves
+    places, score = depth.getOriginalDataset()
+    assert score[: bench.found.ranges[0][1]].max() < np.log10(SIGNIFICANT) < score[-1]
+    for frame in (0, 13, len(places) - 1):
+        seen = view.mapFromScene(box.mapViewToScene(QPointF(places[frame], score[frame])))
+        expected = strip.mapTo(panel, QPoint(round(strip.x_at(frame)), 0)).x()
+        assert view.mapTo(panel, seen).x() == pytest.approx(expected, abs=2)
     bench.click(panel.next)
     before, frame = bench.found, bench.state.frame
     stop = before.ranges[0][1]

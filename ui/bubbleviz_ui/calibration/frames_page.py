@@ -46,26 +46,26 @@ class ScorePlot(PlotHost):
         self._draw()
 
     def _make(self) -> list[Part]:
-        self._plot = Plot("nothing", left="logarithm")
-        self._curves = [self._plot.add_curve(colour) for colour in COLOURS]
-        self._plot.add_line(angle=0, pos=np.log10(SIGNIFICANT))
-        self.arrange([self._plot.item])
-        return [self._plot]
+        self.drawn = Plot("nothing", left="logarithm")
+        self.curves = [self.drawn.add_curve(colour) for colour in COLOURS]
+        self.drawn.add_line(angle=0, pos=np.log10(SIGNIFICANT))
+        self.arrange([self.drawn.item])
+        return [self.drawn]
 
     def _draw(self) -> None:
         if not self.ready or self._found is None:
             return
         highest, words = LEAST_TOP, ["change from rest (σ):"]
         scores = ("depth", self._found.depth_score), ("gas pressure", self._found.pressure_score)
-        for curve, colour, (name, score) in zip(self._curves, COLOURS, scores, strict=True):
+        for curve, colour, (name, score) in zip(self.curves, COLOURS, scores, strict=True):
             curve.clear()
             if score is not None:
                 curve.setData(self._axis.places, np.log10(np.clip(score, LOWEST, MOST)))
                 highest = max(highest, min(float(score.max()), MOST))
                 words.append(f'<span style="color:{colour}">{name}</span>')
         ends = np.log10([LOWEST, highest])
-        self._plot.box.setRange(xRange=(0.0, 1.0), yRange=ends, padding=0.0)
-        self._plot.write(" ".join(words))
+        self.drawn.box.setRange(xRange=(0.0, 1.0), yRange=ends, padding=0.0)
+        self.drawn.write(" ".join(words))
 
 
 ENDED_BY = {
