@@ -105,6 +105,8 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     """The automatic threshold has no κ, and the curve says what κ would make of the frame."""
     driver = drive(frame=CONTACT)
     panel, kappa = threshold(driver), driver.window.kappa
+    titles = [kappa.solver.itemText(k) for k in range(kappa.solver.count())]
+    assert "rubber, sensor's mesh alone" in titles and "-" not in "".join(titles)
     inspection, patch = lambda: driver.inspection, driver.result.patch
     assert driver.state.settings.kappa is None
     assert not kappa.by_kappa.isVisibleTo(kappa) and kappa.threshold.text() == "automatic"
