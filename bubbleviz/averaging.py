@@ -60,10 +60,11 @@ class StillFrames:
         if self._source is None:
             self._seen.pop(frame.index, None)  # streams may begin anew
         own = self._of(frame.index, frame)
+        noisy = own.image.at_noise(frame.noise)
         around: list[_Seen] = []
         for side in self._sides(frame):
             for other in self._agreeing(own.image, side):
-                if not around and self._pipeline.estimator.fits_rest(own.image):
+                if not around and self._pipeline.estimator.fits_rest(noisy):
                     return frame
                 around.append(other)
         if len(around) < 2:  # a straight line through two images is the frame's own image there

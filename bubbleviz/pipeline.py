@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -185,7 +185,7 @@ class Pipeline:
     def _is_available(self, name: Product, options: FrameOptions, frame: Frame) -> bool:
         if name == "fine_contact":
             refines = options.fine_contact and self._refiner is not None
-            return refines and mesh_limits(self.estimator, frame.mean_noise)
+            return refines and mesh_limits(self.estimator, frame.noise * frame.mean_noise)
         return name not in OBJECT_PRODUCTS or self.tracker is not None
 
     def paired(self, frame: Frame) -> Frame:
@@ -217,7 +217,13 @@ class Pipeline:
         Raises InputError: the image does not have the camera's size.
         """
         self._check_size(frame)
-        return self.estimator.is_untouched(frame.depth_m)
+        known = {} if frame.noise == 1.0 else {"noise": frame.noise}  # as in `_estimated`
+        return self.estimator.is_untouched(frame.depth_m, **known)
+
+    def with_noise(self, frames: Sequence[Frame]) -> list[Frame]:
+        """Consecutive frames without contact with the noise factor of their depth images."""
+        noise = self.estimator.image_noise([frame.depth_m for frame in frames])
+        return [replace(frame, noise=noise) for frame in frames]
 
     def estimate_once(self, frame: Frame) -> Estimate:
         """Estimate of a frame that leaves the warm start of the next one unchanged.
@@ -236,6 +242,8 @@ class Pipeline:
             known["flow"] = flow
         if frame.image_errors is not None and self.estimator.solver_name in (RUBBER, LINEAR):
             known["image_errors"] = frame.image_errors
+        if frame.noise > 1.0:
+            known["noise"] = frame.noise
         return self.estimator.estimate(*measured, **known)
 
     def prepare(self, products: frozenset[Product]) -> None:
@@ -366,7 +374,7 @@ class Pipeline:
         if estimate.fine is not None:
             return result
         refiner = _required(self._refiner)
-        fine = refiner.refine(frame.steady_depth_m, estimate, frame.mean_noise)
+        fine = refiner.refine(frame.steady_depth_m, estimate, frame.noise * frame.mean_noise)
         return result if fine is None else replace(result, estimate=replace(estimate, fine=fine))
 
     def _patch_stage(self, result: Result, options: FrameOptions) -> Result:

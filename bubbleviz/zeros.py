@@ -6,6 +6,7 @@ of the depth image removes changes of the camera since calibration.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import takewhile
@@ -18,7 +19,7 @@ from bubbleviz.camera import ImageErrors
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame, FrameSource, HeldFrames, Recording, force_of
+from bubbleviz.recordings import LAG, Frame, FrameSource, HeldFrames, Recording, force_of
 from bubbleviz.result import HALF_95, Result
 from bubbleviz.sensor import WEATHER_SIGMA_PA, Pneumatics
 
@@ -59,19 +60,24 @@ class ImageZero:
     During contact they are therefore those of the frames without contact: found anew, they would
     imitate friction and deformations that the model of the membrane lacks. They follow a random
     walk, and those of single images scatter around it. As a contact is found some frames after it
-    began, the last `MIN_FRAMES` of consecutive frames are not used. `fixed`: not to be renewed.
+    began, the last `MIN_FRAMES` of consecutive frames are not used. Changes between these frames
+    tell the noise, which may be larger than in the sensor file, or correlated between pixels.
+    `fixed`: not to be renewed.
     """
 
     def __init__(self) -> None:
         self.fixed = False
+        self.noise = 1.0  # see `Frame.noise`
         self._since_calibration: ImageErrors | None = None  # None: no frame seen
         self._known: ImageErrors | None = None
         self._time_s = 0.0
         self._rest: list[Result] = []
+        self._last: deque[Frame] = deque(maxlen=LAG)
 
     def applied(self, frame: Frame) -> Frame:
-        """The frame with the known errors; unchanged if none are known."""
-        return frame if self._known is None else replace(frame, image_errors=self._at(frame.time_s))
+        """The frame with the noise and the known errors, if any."""
+        known = frame.image_errors if self._known is None else self._at(frame.time_s)
+        return replace(frame, image_errors=known, noise=max(self.noise, frame.noise))
 
     def follow(self, result: Result, pipeline: Pipeline) -> None:
         """Use a solved frame if it belongs to consecutive frames without contact."""
@@ -80,12 +86,22 @@ class ImageZero:
         again = bool(self._rest) and time_s <= self._rest[-1].frame.time_s
         if self.fixed or recent or again:
             return
-        touched = not _is_contact_free(result)
+        touched = not (_is_contact_free(result) or self._is_noise(result, pipeline))
+        self._last.append(result.frame)
         if not touched:
             self._rest.append(result)
         if touched or len(self._rest) == ZERO_FRAMES:
             self.take(self._rest, pipeline)
+            if len(self._rest) > 1:
+                self.noise = pipeline.with_noise([each.frame for each in self._rest])[0].noise
             self._rest = []
+
+    def _is_noise(self, result: Result, pipeline: Pipeline) -> bool:
+        """Whether noise explains an implausible image, by its change since some frames before."""
+        implausible = result.estimate is not None and result.estimate.status == "implausible"
+        if not implausible or len(self._last) < LAG:
+            return False
+        return pipeline.is_untouched(pipeline.with_noise([self._last[0], result.frame])[-1])
 
     def take(self, rest: Sequence[Result], pipeline: Pipeline) -> None:
         """Determine the errors from consecutive solved frames without contact."""
@@ -280,14 +296,14 @@ class Zeros(NamedTuple):
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, known errors and mean of the depth image."""
-        if self.still is not None:
-            frame = self.still.applied(frame)
-        return self.image.applied(frame if self.gas is None else self.gas.applied(frame))
+        frame = self.image.applied(frame if self.gas is None else self.gas.applied(frame))
+        return frame if self.still is None else self.still.applied(frame)
 
     def zeroed(self, frame: Frame, pipeline: Pipeline) -> Frame:
         """The same, after use of the frame for the zero of the gas pressure if it is collected."""
         gas, measured_pa = self.gas, frame.gas_pressure_pa
         if gas is not None and measured_pa is not None and gas.wants_next():
+            frame = replace(frame, noise=self.image.noise)
             gas.learn(measured_pa, contact_free=pipeline.is_untouched(frame))
         return self.applied(frame)
 
@@ -307,6 +323,9 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     """
     rest, image, still = _rest_of(source, pipeline), ImageZero(), None
     if _knows_errors(pipeline):
+        if rest:
+            rest = pipeline.with_noise(rest)
+            image.noise = rest[0].noise
         image.take(_solved_alone(rest, pipeline), pipeline)
         if not isinstance(source, HeldFrames):  # their frames are not neighbours
             still = StillFrames(pipeline, source)
@@ -405,6 +424,14 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
     """A frame if it can be read and its depth image shows no contact."""
     try:
         frame = source[index]
+        if pipeline.is_untouched(frame):
+            return frame
+        if not _knows_errors(pipeline):
+            return None
+        # Noise changes images as much before a frame as after it; a contact that begins does not.
+        others = {max(index - LAG, 0), min(index + LAG, len(source) - 1)} - {index}
+        noisy = [pipeline.with_noise([frame, source[k]])[0] for k in sorted(others)]
+        frame = min(noisy, key=lambda each: each.noise, default=frame)
         return frame if pipeline.is_untouched(frame) else None
     except InputError:
         return None

@@ -6,7 +6,7 @@ smaller than the mesh resolves.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage, sparse
@@ -40,6 +40,7 @@ class BlockSquares:
         columns: int,  # blocks in a row of the image
     ) -> None:
         self.side = max(1, round(np.sqrt(len(blocks) / SQUARES)))
+        self._columns = columns
         row, column = np.divmod(blocks, columns)
         # (B,) int, number of the square of each
         self.of_block = (row // self.side) * columns + column // self.side
@@ -54,12 +55,26 @@ class BlockSquares:
         By the median of their sums over squares, in which model errors and correlated noise, which
         are similar in neighbouring blocks, do not average out.
         """
+        means = self._means(block, z)
+        means = means[np.isfinite(means)]
+        return float(median(np.abs(means)) / MAD) if means.size else 1.0
+
+    def rough_noise_factor(self, block: np.ndarray, z: np.ndarray) -> float:
+        """The same by second differences of squares, which are hardly changed by smooth motion."""
+        means = self._means(block, z)
+        means = np.pad(means, (0, -len(means) % self._columns), constant_values=np.nan)
+        grid = means.reshape(-1, self._columns)
+        bent = np.concatenate([np.diff(each, 2, axis=0).ravel() for each in (grid, grid.T)])
+        bent = bent[np.isfinite(bent)]
+        return float(median(np.abs(bent)) / (MAD * np.sqrt(6.0))) if bent.size else 1.0
+
+    def _means(self, block: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Mean errors by number of the square, in standard deviations; NaN where few have any."""
         square = self.of_block[block]
         sums, count = np.bincount(square, z), np.bincount(square, z != 0.0)
         full = count >= 0.5 * self.side**2
-        if not full.any():
-            return 1.0
-        return float(median(np.abs(sums[full]) / np.sqrt(count[full])) / MAD)
+        means: np.ndarray = np.where(full, sums / np.sqrt(np.maximum(count, 1)), np.nan)
+        return means
 
 
 def median(values: np.ndarray) -> np.ndarray:
@@ -104,12 +119,22 @@ class Measured:
 
     depth_m: np.ndarray  # (H, W), the z-depth image, m; NaN where there is no return
     noise: float  # factor by which this frame is noisier than expected, at least 1
-    # total, moment: (B,), sums over the pixels of each block: of 1/σ² at that noise, 1/m², and of
-    # that times the residual, 1/m
+    # total, moment: (B,), sums over the pixels of each block: of 1/σ² at `block_noise`, 1/m², and
+    # of that times the residual, 1/m
     total: np.ndarray
     moment: np.ndarray
     # variance of the block means due to rounding of the depth to millimetres, (B,), m², or 0
     rounding_m2: np.ndarray | float = 0.0
+    # factor by which block means are noisier than expected: more than `noise` where that is
+    # correlated between pixels
+    block_noise: float = 1.0
+
+    def at_noise(self, block_noise: float) -> Measured:
+        """The same with block means that are at least so noisy."""
+        factor = max(block_noise / self.block_noise, 1.0)
+        total, moment = self.total / factor**2, self.moment / factor**2
+        block_noise = factor * self.block_noise
+        return replace(self, total=total, moment=moment, block_noise=block_noise)
 
 
 @dataclass(frozen=True)
@@ -293,7 +318,16 @@ class RangeObserver:
             total = total.copy()
             total[holes], moment[holes] = self._sums_of(holes, depth_m)
         rounding = self._rounding_variance(total, moment) if self._is_rounded(depth_m) else 0.0
-        return Measured(depth_m, noise, total / noise**2, moment / noise**2, rounding)
+        return Measured(depth_m, noise, total / noise**2, moment / noise**2, rounding, noise)
+
+    def change_noise(self, one: Measured, other: Measured) -> float:
+        """Noise factor of block means by the change between two images."""
+        block = np.flatnonzero((one.total > 0.0) & (other.total > 0.0))
+        variance = np.zeros(len(block))
+        for each in (one, other):
+            variance += 1.0 / self._weight(each.total, each.rounding_m2)[block]
+        before, after = (each.moment[block] / each.total[block] for each in (one, other))
+        return self._squares.rough_noise_factor(block, (after - before) / np.sqrt(variance))
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a measurement; `expected_m` as in `observe`."""
@@ -310,7 +344,7 @@ class RangeObserver:
             if affected.size:
                 robust = self._sums_of(affected, measured.depth_m, expected, measured.noise)
                 total, moment = total.copy(), moment.copy()
-                total[affected], moment[affected] = robust / measured.noise**2
+                total[affected], moment[affected] = robust / measured.block_noise**2
                 share = float(total.sum() / measured.total.sum())
         mean = np.divide(moment, total, out=np.zeros_like(total), where=total > 0.0)
         return Observation(mean, self._weight(total, measured.rounding_m2), share)

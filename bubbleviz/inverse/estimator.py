@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi, sqrt
 
 import numpy as np
 
-from bubbleviz.camera import ImageErrors, Measured, MeasuredFlow, RangeObserver
+from bubbleviz.camera import UPPER_95, ImageErrors, Measured, MeasuredFlow, RangeObserver
 from bubbleviz.errors import InputError, check_number
 from bubbleviz.inverse.friction import FRICTION, contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import IMAGE_ERROR, GaussNewton
 from bubbleviz.inverse.iteration import Iteration, SolvedFrame, Start, is_untouched
 from bubbleviz.inverse.measurements import FrameData
+from bubbleviz.inverse.noise import AS_EXPECTED
 from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
     IMPLAUSIBLE_MISFIT,
@@ -23,6 +25,7 @@ from bubbleviz.inverse.plausibility import (
 from bubbleviz.inverse.resolution import at_noise
 from bubbleviz.inverse.response import Bubble, RubberBubble
 from bubbleviz.membrane import MembraneMesh
+from bubbleviz.recordings import LAG
 from bubbleviz.result import Estimate, Status, wrench_about
 
 PRESSURE_SCALE = 3.0
@@ -182,6 +185,7 @@ class Estimator:
         gas_sigma_pa: float = 0.0,
         flow: MeasuredFlow | None = None,
         image_errors: ImageErrors | None = None,
+        noise: float = 1.0,
     ) -> tuple[Estimate, Start]:
         """Estimate of one frame, and the warm start of the next one.
 
@@ -199,6 +203,8 @@ class Estimator:
             Of the colour image of the same moment; the membrane must be the exact one.
         image_errors : ImageErrors, optional
             Of the depth image, as known from images without contact.
+        noise : float
+            Noise factor of the depth image averaged over blocks of pixels, likewise.
         """
         start, newton, behind = start or Start(), self._newton, self.bubble.gas
         if gas_sigma_pa:
@@ -206,7 +212,7 @@ class Estimator:
         gas = behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
             return no_estimate(self.mesh, "implausible", beyond), Start()
-        data = FrameData(self.observer.measure(depth_m), gas, None, image_errors)
+        data = FrameData(self.observer.measure(depth_m).at_noise(noise), gas, None, image_errors)
         found = self._solve_frame(newton, data, start)
         if start.state is not None and found[0].status in ("not_converged", "implausible"):
             # a warm start far from the solution, as after a jump, may fail where rest does not
@@ -260,7 +266,7 @@ class Estimator:
             return no_estimate(self.mesh, "implausible", doubt, answer.misfit.rms_m), Start()
         step, touching = answer.step, answer.step.state if answer.touching else None
         start = Start(touching, step.last_tangent, *step.hyperparameters, answer.view)
-        return self._report(answer), start
+        return self._report(answer, data.ranges.block_noise), start
 
     def _solution(
         self, newton: GaussNewton, data: FrameData, start: Start
@@ -288,14 +294,27 @@ class Estimator:
         rest = self._newton.observe(FrameData(measured), self._newton.rest, None)
         return self._newton.fits_without_contact(rest, None)
 
-    def is_untouched(self, depth_m: np.ndarray) -> bool:
+    def image_noise(self, images_m: Sequence[np.ndarray]) -> float:
+        """Noise factor of consecutive images (H, W) without contact, averaged over blocks.
+
+        By their changes, which errors of the sensor file do not cause: its upper 95 % limit, and 1
+        where noise as in that file explains them.
+        """
+        measured = [self.observer.measure(depth_m) for depth_m in images_m]
+        lag = min(LAG, len(measured) - 1)
+        pairs = zip(measured[:-lag], measured[lag:], strict=True)
+        found = [self.observer.change_noise(*pair) for pair in pairs]
+        noise, limit = float(np.median(found)), 1.0 + (UPPER_95 - 1.0) / sqrt(len(found))
+        return AS_EXPECTED.with_ranges(limit * noise).ranges if noise > limit else 1.0
+
+    def is_untouched(self, depth_m: np.ndarray, noise: float = 1.0) -> bool:
         """Whether an image (H, W), without the gas pressure, is explained without contact."""
         try:
-            return is_untouched(self._newton, self.observer.measure(depth_m))
+            return is_untouched(self._newton, self.observer.measure(depth_m).at_noise(noise))
         except (RuntimeError, np.linalg.LinAlgError):  # a singular tangent, or Hessian
             return False
 
-    def _report(self, answer: SolvedFrame) -> Estimate:
+    def _report(self, answer: SolvedFrame, block_noise: float) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
         moved = state.x - self.mesh.nodes
         force = state.nodal_force
@@ -314,7 +333,7 @@ class Estimator:
             force_n=force.sum(axis=0),
             wrench_covariance=answer.wrench_covariance,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
-            resolution_m=at_noise(self.resolution_m, answer.noise.ranges),
+            resolution_m=at_noise(self.resolution_m, block_noise * answer.noise.ranges),
             seen_share=answer.visible_share,
             image_errors=answer.image_errors,
             flow=answer.flow,

@@ -66,6 +66,7 @@ class PaperEstimator(Estimator):
         gas_sigma_pa: float = 0.0,
         flow: MeasuredFlow | None = None,
         image_errors: ImageErrors | None = None,
+        noise: float = 1.0,
     ) -> tuple[Estimate, Start]:
         """Solve one frame by depth, and by gas pressure if its zero is known."""
         mesh, behind = self.mesh, self.bubble.gas

@@ -52,6 +52,10 @@ class Frame:
         measured in this recording, see `PressureZero`.
     image_errors : ImageErrors or None
         Errors of the entire depth image as known from frames without contact, see `ImageZero`.
+    noise : float
+        Noise factor of the depth image averaged over blocks of pixels, as known from frames without
+        contact, see `ImageZero`: above 1 where noise is larger than in the sensor file, or
+        correlated.
     mean_depth_m : (H, W) float32 array or None
         Mean of this depth image and those around that show the same, see `StillFrames`.
     images : int
@@ -74,6 +78,7 @@ class Frame:
     no_colour: str = NO_COLOUR
     gas_sigma_pa: float = 0.0
     image_errors: ImageErrors | None = None
+    noise: float = 1.0
     mean_depth_m: np.ndarray | None = None
     images: int = 1
     mean_noise: float = 1.0

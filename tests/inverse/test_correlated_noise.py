@@ -1,0 +1,85 @@
+"""Noise that is correlated between pixels, which the sensor file does not tell."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+
+import bubbleviz as bv
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.recordings import HeldFrames
+from bubbleviz.rigid_object import load_object
+from bubbleviz.simulation import touching_height
+from bubbleviz.zeros import zeros_of
+from tests.small_press import changed, coarser
+
+REST, RELATIVE, WIDTH_PX = 20, 0.01, 2.0
+DEPTHS_M = 0.006, 0.010, 0.014
+
+
+@cache
+def sensor():
+    given = bv.load_sensor("pico_flexx_75mm")
+    return changed(given, membrane={"nodes": 400, "prestretch": 1.2}, camera=coarser(given, 2))
+
+
+@cache
+def exact():
+    """The membrane at rest and pressed by a ball ever deeper, without noise; the ball's forces."""
+    poses, pipeline = np.tile(np.eye(4), (1 + len(DEPTHS_M), 1, 1)), Pipeline.of(sensor())
+    top = touching_height(load_object("sphere"), poses[0], pipeline.mesh)
+    poses[:, 2, 3] = top - np.array([-0.02, *DEPTHS_M])
+    simulation = bv.simulate(sensor(), "sphere", poses)
+    return list(simulation), [simulation.truth(k).force_n for k in range(1, len(poses))]
+
+
+def noisy(frame, k, width_px=WIDTH_PX):
+    """An image with noise of the standard deviation in the sensor file."""
+    noise = np.random.default_rng(k).standard_normal(frame.depth_m.shape)
+    if width_px:
+        noise = gaussian_filter(noise, width_px)
+    depth_m = frame.depth_m * np.float32(1.0 + RELATIVE * noise / noise.std())
+    return replace(frame, index=k, time_s=k / 30.0, depth_m=depth_m.astype(np.float32))
+
+
+def recording(width_px=WIDTH_PX):
+    """Frames without contact, then one of each press; and their forces."""
+    (rest, *pressed), forces = exact()
+    frames = [rest] * REST + pressed
+    return [noisy(frame, k, width_px) for k, frame in enumerate(frames)], np.array(forces)
+
+
+def test_frames_of_a_recording_without_contact_have_none():
+    frames, forces = recording()
+    run = bv.estimate(frames, sensor())
+    assert set(run.status[:REST]) == {"no_contact"}
+    assert set(run.status[REST:]) == {"ok"}
+    sigma_n = run.table()[[f"force_sigma_{axis}_n" for axis in "xyz"]].to_numpy()[REST:]
+    inside = np.abs(run.force_n[REST:] - forces) <= 1.96 * sigma_n
+    assert np.count_nonzero(inside) >= 8  # of 9 components
+
+
+def test_later_frames_of_a_stream_without_contact_have_none():
+    estimator, rest = bv.Estimator(sensor()), exact()[0][0]
+    found = [estimator.update(noisy(rest, k)).status for k in range(100, 200)]
+    assert found[REST:].count("no_contact") >= 99 - REST  # false ones are rare
+
+
+@pytest.mark.parametrize("width_px", [0.0, WIDTH_PX])
+def test_the_noise_of_a_recording(width_px):
+    """Independent samples of filtered noise are as large as 4π widths squared."""
+    zeros = zeros_of(HeldFrames(recording(width_px)[0]), Pipeline.of(sensor()))
+    expected = max(1.0, np.sqrt(4.0 * np.pi) * width_px)
+    assert zeros.applied(exact()[0][0]).noise == pytest.approx(expected, rel=0.3)
+
+
+def test_presses_are_no_noise():
+    """Depth changes from frame to frame, but smoothly, and there is no frame without contact."""
+    pressed = exact()[0][1:] * 5
+    zeros = zeros_of(
+        HeldFrames([noisy(f, k, 0.0) for k, f in enumerate(pressed)]), Pipeline.of(sensor())
+    )
+    applied = zeros.applied(pressed[0])
+    assert (applied.noise, applied.image_errors) == (1.0, None)
