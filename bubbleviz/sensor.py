@@ -28,6 +28,7 @@ from bubbleviz.files import (
     named_file,
     presets_folder,
     read_toml,
+    refuse_existing,
     transform,
     whole_file,
 )
@@ -349,8 +350,7 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
         written.
     """
     path = Path(path)
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: not the name of a sensor file; give one that ends in .toml")
+    refuse_existing(path, ".toml", overwrite=overwrite)
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
         # Files appear in reverse order: the sensor file last, after the files that it names.

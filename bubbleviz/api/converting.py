@@ -78,7 +78,7 @@ def convert(
     InputError
         An input cannot be read or does not match the others, or `out` exists; nothing is written.
     """
-    refuse_existing(out, ".mcap", overwrite=overwrite)
+    refuse_existing(out, ".mcap", "", overwrite=overwrite)
     refuse_input(out, source)
     source = Path(source)
     progress("opening", 0.0)

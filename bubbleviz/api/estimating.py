@@ -398,8 +398,8 @@ def _check_outputs(
     if len({path.absolute() for path, _ in given}) < len(given):
         raise InputError(f"{given[0][0]}: given for both --out and --csv; choose two names")
     for path, suffix in given:
-        refuse_existing(path, suffix, overwrite=overwrite)
         refuse_input(path, path_of(frames))
+        refuse_existing(path, suffix, overwrite=overwrite)
 
 
 def _watched(

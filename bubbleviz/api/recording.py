@@ -308,7 +308,7 @@ def replacing(out: str | Path, source: LiveSource, *, overwrite: bool) -> Iterat
     """
     if overwrite:
         refuse_input(out, getattr(source, "path", None))
-        refuse_existing(out, overwrite=True)
+        refuse_existing(out, ".mcap", "", overwrite=True)
     replaces = overwrite and Path(out).exists()
     with restore_on_error(*([Path(out)] if overwrite else [])):
         yield replaces

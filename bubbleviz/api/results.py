@@ -22,6 +22,7 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.files import (
+    PICTURES,
     as_input_error,
     checked,
     read_npz,
@@ -238,7 +239,7 @@ class FrameResult:
         import pyvista  # an extra
 
         if screenshot is not None:
-            refuse_existing(screenshot, overwrite=overwrite)
+            refuse_existing(screenshot, ".png", overwrite=overwrite)
         with pyvista.vtk_verbosity("error"):  # no warnings of VTK without an X server
             plotter = pyvista.Plotter(off_screen=screenshot is not None)
             _draw(plotter, pyvista, self)
@@ -434,8 +435,8 @@ class Run(Sequence[FrameResult], Summary):
         InputError
             The file exists, or has another suffix.
         """
-        if path is not None and Path(path).suffix.lower() not in (".png", ".svg", ".pdf"):
-            raise InputError(f"{path}: not the name of a plot; end it in .png, .svg or .pdf")
+        if path is not None:
+            refuse_existing(path, *PICTURES, overwrite=overwrite)
         figure = _new_figure(shown=path is None or "ipykernel" in sys.modules)
         draw_plots(self._numbers.columns(), figure)
         if path is not None:

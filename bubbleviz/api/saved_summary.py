@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from bubbleviz.api.summary import Summary
-from bubbleviz.errors import InputError
 from bubbleviz.files import (
+    PICTURES,
     refuse_existing,
     refuse_input,
     rows_of,
@@ -23,8 +23,6 @@ from bubbleviz.output import DPI
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_PICTURES = (".png", ".svg", ".pdf")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +75,10 @@ class SavedSummary(Summary):
                 self._write(temporary / f"{self.stem}{suffix}")
 
     def _write(self, path: Path) -> None:
-        if path.suffix == ".csv":
+        suffix = path.suffix.lower()
+        if suffix == ".csv":
             write_rows(path, rows_of(self.columns()))
-        elif path.suffix == ".json":
+        elif suffix == ".json":
             write_json(path, self.facts())
         else:
             self.plot().savefig(path, dpi=DPI)
@@ -101,10 +100,5 @@ def check_out(out: str | Path | None, *read: str | Path | None, overwrite: bool)
     """
     if out is None:
         return
-    if Path(out).suffix not in ("", ".csv", ".json", *_PICTURES):
-        raise InputError(
-            f"{out}: not the name of a plot, table or numbers; end it in .png, .svg, .pdf, .csv or "
-            ".json, or give a folder without a dot in its name"
-        )
-    refuse_existing(Path(out), overwrite=overwrite)
+    refuse_existing(out, *PICTURES, ".csv", ".json", "", overwrite=overwrite)
     refuse_input(out, *read)

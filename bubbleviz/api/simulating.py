@@ -74,7 +74,7 @@ class Simulation(Frames):
         """
         if truth is not None and Path(truth).absolute() == Path(out).absolute():
             raise InputError(f"{out}: given for both --out and --truth; choose two names")
-        refuse_existing(out, ".mcap", overwrite=overwrite)
+        refuse_existing(out, ".mcap", "", overwrite=overwrite)
         if truth is not None:
             refuse_existing(truth, ".npz", overwrite=overwrite)
         truths: list[Truth] = []

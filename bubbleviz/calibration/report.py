@@ -17,7 +17,6 @@ import numpy as np
 import bubbleviz
 from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
 from bubbleviz.calibration.verdict import advice, grade, headline, parameters
-from bubbleviz.errors import InputError
 from bubbleviz.files import (
     file_hash,
     portable_path,
@@ -44,15 +43,14 @@ def output_files(
 ) -> list[Path]:
     """Paths of the sensor file, its mesh, its pixel images, and the report if there is one.
 
-    Raises InputError: one exists and may not be overwritten.
+    Raises InputError: another suffix, or one exists and may not be overwritten.
     """
     path = Path(out_toml)
-    if path.suffix != ".toml":
-        raise InputError(f"{path}: the name of a sensor file ends in .toml; give such a name")
-    paths = [path, path.with_suffix(".ply"), path.with_suffix(".npz"), *filter(None, [report])]
-    for each in paths:
+    refuse_existing(path, ".toml", overwrite=overwrite)
+    others = [path.with_suffix(".ply"), path.with_suffix(".npz"), *filter(None, [report])]
+    for each in others:
         refuse_existing(each, overwrite=overwrite)
-    return paths
+    return [path, *others]
 
 
 def write_sensor(

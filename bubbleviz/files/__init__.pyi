@@ -1,5 +1,6 @@
 from .meshes import SUFFIXES as SUFFIXES, read_triangles as read_triangles, write_ply as write_ply
 from .output_files import (
+    PICTURES as PICTURES,
     cannot_write as cannot_write,
     create_folder as create_folder,
     free_name as free_name,

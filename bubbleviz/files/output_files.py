@@ -20,9 +20,11 @@ from typing import Any
 from bubbleviz.errors import InputError
 from bubbleviz.wording import encodable
 
+PICTURES = (".png", ".svg", ".pdf")
+"""Suffixes of plots."""
 _WRITTEN_SUFFIXES = {
     *(".csv", ".parquet", ".npz", ".json", ".html", ".toml", ".ply", ".pvd", ".vtp", ".series"),
-    *(".png", ".svg", ".pdf", ".mcap", ".yaml"),
+    *(".mcap", ".yaml", *PICTURES),
 }
 """Suffixes of files that this program writes into folders."""
 _WRITTEN_FOLDERS = {"meta", "data", "episodes", "chunk-000"}
@@ -89,19 +91,18 @@ def portable_path(path: str | Path, folder: str | Path) -> str:
         return str(path)
 
 
-def refuse_existing(
-    path: str | Path, suffix: str | None = None, *, overwrite: bool = False
-) -> None:
+def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -> None:
     """Raise InputError unless `path` can be written; call it before long computations.
 
     With `overwrite` it may exist, but not as a folder with files of kinds that this program does
-    not write. The name may not end as that of another kind of file than one with `suffix`.
+    not write. If `suffixes` are given, its name ends in one of them; "" stands for a folder.
     """
     path = Path(path)
-    if suffix is not None and path.suffix.lower() in _WRITTEN_SUFFIXES - {suffix}:
-        raise InputError(
-            f"{path}: this output is a {suffix} file, not {path.suffix}; end its name in {suffix}"
-        )
+    if suffixes and path.suffix.lower() not in suffixes:
+        *others, last = filter(None, suffixes)
+        folder = "" if last == suffixes[-1] else ", or give a folder without a dot in its name"
+        names = f"{', '.join(others)} or {last}" if others else last
+        raise InputError(f"{path}: not the name of this output; end it in {names}{folder}")
     try:
         exists, parent_exists = os.path.lexists(path), path.parent.is_dir()
     except (OSError, ValueError) as error:
@@ -179,9 +180,11 @@ def remove_unfinished(path: Path, *, of_others: bool = False) -> None:
 
 def _is_dead(computer: str, pid: str) -> bool:
     """Whether it is a process of this computer that has ended."""
+    stat = Path("/proc", pid, "stat")  # it exists until the parent has asked for the exit code
     try:
         if computer == _computer():
             os.kill(int(pid), 0)
+            return stat.is_file() and stat.read_text().rpartition(")")[2].split()[0] == "Z"
     except (ProcessLookupError, OverflowError):
         return True
     except OSError:  # another user's

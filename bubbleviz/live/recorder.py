@@ -99,7 +99,7 @@ class Recorder:
         with self._lock:
             if self._session is not None:
                 raise InputError(f"{path}: a recording is already in progress; stop it first")
-            refuse_existing(path, ".mcap")
+            refuse_existing(path, ".mcap", "")
             session = _Session(Path(path), tuple(self._static.values()), replaces)
             for message in self._before:
                 session.put(message)

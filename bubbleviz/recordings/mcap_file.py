@@ -48,7 +48,7 @@ class McapFile:
 
         self.path = Path(path)
         refuse_existing(self.path)
-        self._folder = None if self.path.suffix == ".mcap" else self.path
+        self._folder = None if self.path.suffix.lower() == ".mcap" else self.path
         try:
             if self._folder is not None:
                 self._folder.mkdir()

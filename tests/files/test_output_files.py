@@ -103,15 +103,17 @@ def test_missing_input_is_not_reported_as_output(tmp_path):
         (tmp_path / "input").read_text()
 
 
+@pytest.mark.parametrize("waited", [True, False])  # a container may have no init that waits
 @pytest.mark.parametrize("name", ["a.csv", "b.mcap", "folder"])
-def test_leftovers_of_a_killed_process_are_removed_by_the_next_run(tmp_path, name):
+def test_leftovers_of_a_killed_process_are_removed_by_the_next_run(tmp_path, name, waited):
     """But not files being written by others, nor files with similar names."""
     script = (
         "import os, sys; from bubbleviz.files import whole_file\n"
         "with whole_file(sys.argv[1]) as path: path.write_text('half'); os.kill(os.getpid(), 9)"
     )
-    killed = subprocess.run([sys.executable, "-c", script, str(tmp_path / name)], check=False)
-    assert killed.returncode == -signal.SIGKILL
+    killed = subprocess.Popen([sys.executable, "-c", script, str(tmp_path / name)])
+    ended = os.waitid(os.P_PID, killed.pid, os.WEXITED | (0 if waited else os.WNOWAIT))
+    assert ended is not None and ended.si_status == signal.SIGKILL
     (tmp_path / ".a.notes.csv").write_text("mine")
     assert len(list(tmp_path.iterdir())) == 2
     with pytest.raises(InputError, match="exists"), whole_file(tmp_path / "a.csv") as outer:
@@ -121,6 +123,7 @@ def test_leftovers_of_a_killed_process_are_removed_by_the_next_run(tmp_path, nam
             inner.write_text("2")
     assert {path.name for path in tmp_path.iterdir()} == {"a.csv", ".a.notes.csv"}
     assert (tmp_path / "a.csv").read_text() == "2"
+    killed.wait()
 
 
 def test_table_cells_are_never_formulas(tmp_path):

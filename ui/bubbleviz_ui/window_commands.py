@@ -101,9 +101,7 @@ def open_recording(
     if screenshot is not None:
         from bubbleviz.files import refuse_existing
 
-        if screenshot.suffix.lower() != ".png":
-            raise click.UsageError(f"--screenshot {screenshot}: give a name that ends in .png")
-        refuse_existing(screenshot, overwrite=overwrite)
+        refuse_existing(screenshot, ".png", overwrite=overwrite)
     preset = None if scene is None else load_scene(scene)
     name, chosen = checked_sensor(recording, sensor, depth_topic)
     chosen = with_colour_delay(chosen, colour_delay_s)
