@@ -32,6 +32,16 @@ def rounded(number: float, decimals: int) -> str:
     return f"{round(number, decimals) + 0.0:.{max(decimals, 0)}f}"
 
 
+def plus_minus(value: float, half_width: float, most: int) -> str:
+    """`0.804 ± 0.021`: rounded to two significant digits of the half width, or `most` decimals.
+
+    The half width is shown as 0 only if it is exactly 0.
+    """
+    shown = max(half_width, 10.0**-most) if half_width > 0.0 else half_width
+    decimals = decimals_of(shown, most)
+    return f"{rounded(value, decimals)} ± {rounded(shown, decimals)}"
+
+
 def reason_of(error: BaseException, most: int | None = None) -> str:
     """Message of an exception in one line of at most so many letters; its class if it has none."""
     return " ".join(str(error).split())[:most] or type(error).__name__

@@ -255,8 +255,9 @@ class PressureZero:
         if self.offset_pa is None:
             causes = "the weather" if self.sigma_pa == WEATHER_SIGMA_PA else "weather and altitude"
             return (
-                f"gas pressure zero: unknown without {MIN_FRAMES} contact-free frames in a row, "
-                f"so within ±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa by {causes} (95 %)"
+                f"gas pressure zero: unknown without {MIN_FRAMES} contact-free frames in a row "
+                f"that fit the sensor file, so within ±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa by "
+                f"{causes} (95 %)"
             )
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 

@@ -195,6 +195,12 @@ def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recor
     assert not windows.mock_calls
 
 
+def test_a_failed_screenshot_tells_the_failure_alone(windows, pico_recording, tmp_path):
+    windows.screenshot.side_effect = InputError("no such frame")
+    told = refusal("open", pico_recording, "--screenshot", tmp_path / "a.png")
+    assert told == "bubbleviz: no such frame\n"
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [

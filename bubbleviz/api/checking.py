@@ -29,10 +29,8 @@ class CheckSummary(SensorCheck, Summary):
     warning: str | None = None  # missing parts of the recording, or a choice made in it
 
     def facts(self) -> dict[str, Any]:
-        """Verdict, and for each quantity its value, interval, limit and remedy."""
-        names = ("quantity", "value", "half_width", "limit", "todo")
-        rows = [{name: getattr(row, name) for name in names} for row in self.rows]
-        return {**asdict(self), "rows": rows}
+        """Verdict, and for each quantity its value, interval, limit, unit and remedy."""
+        return asdict(self)
 
 
 def check(
@@ -97,4 +95,4 @@ def _temperature(source: Any) -> list[CheckRow]:
         return []
     topics = [each for each in source.bag.topics if each.type == _TEMPERATURE and each.count]
     last = (source.bag.messages(each).message(each.count - 1).temperature for each in topics)
-    return [CheckRow("camera temperature", "°C", 1.0, float(degrees)) for degrees in last]
+    return [CheckRow("camera temperature", "°C", float(degrees)) for degrees in last]

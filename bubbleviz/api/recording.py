@@ -24,7 +24,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz.wording import count_of, counted
 
 if TYPE_CHECKING:
-    from bubbleviz.live import LiveSource, OfferedTopic, SessionOptions, ZenohPublisher
+    from bubbleviz.live import LiveSource, OfferedTopic, ZenohPublisher
 
 _POLL_S = 0.05  # polling period of a source; chosen
 _CLOSING_DELAY_S = 0.5
@@ -228,10 +228,7 @@ def publish(
         The source cannot be opened, the address cannot be bound, or no router answers; or `wait` is
         given and the topics of the source are unknown before it starts.
     """
-    from bubbleviz.live import ZenohPublisher  # not needed by `record`
-
     check_seconds("--duration", duration_s)
-    place = zenoh_place(listen, connect, credentials)
     sent: Counter[str] = Counter()
     live = open_stream(source, _simulated(sensor), any_size=True).source
     live.follow_colour()
@@ -243,7 +240,7 @@ def publish(
         )
     with (
         stopped_by_signals() as stop,
-        ZenohPublisher(place, domain=domain, wait=True) as publisher,
+        zenoh_publisher(listen, connect, credentials, domain=domain, wait=True) as publisher,
     ):
 
         def send(message: Message) -> None:
@@ -260,7 +257,7 @@ def publish(
         finally:
             live.stop()
         stop.wait(_CLOSING_DELAY_S)
-    return PublishSummary(source, place.connect or place.listen or "", dict(sent))
+    return PublishSummary(source, publisher.endpoint, dict(sent))
 
 
 def _wait_for_subscriber(
@@ -274,14 +271,23 @@ def _wait_for_subscriber(
         stop.wait(_SUBSCRIPTION_DELAY_S)
 
 
-def zenoh_place(
-    listen: str | None, connect: str | None, credentials: dict[str, str | None]
-) -> SessionOptions:
-    """Session options to publish at an endpoint, by default of this computer, or by a router."""
+def zenoh_publisher(
+    listen: str | None,
+    connect: str | None,
+    credentials: dict[str, str | None],
+    *,
+    domain: int = 0,
+    wait: bool = False,
+) -> ZenohPublisher:
+    """Publisher at an endpoint, by default of this computer, or by a router; warns if it is open.
+
+    Raises InputError: both are given, or there is no session.
+    """
     from bubbleviz.live import (
         ROUTER,
         Credentials,  # not needed by `record`
         SessionOptions,
+        ZenohPublisher,
         listening_warning,
     )
 
@@ -295,9 +301,10 @@ def zenoh_place(
     place = SessionOptions(
         f"{option} {listen or connect}", connect, listen, Credentials(**credentials)
     )
+    publisher = ZenohPublisher(place, domain=domain, wait=wait)
     if warning := listening_warning(place):
         tqdm.write(f"bubbleviz: warning: {warning}", file=sys.stderr)
-    return place
+    return publisher
 
 
 @contextmanager

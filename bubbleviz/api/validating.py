@@ -16,7 +16,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.output import Interval, WrenchComparison, compare_with_wrench
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame
-from bubbleviz.wording import count_of, decimals_of, rounded
+from bubbleviz.wording import count_of, plus_minus
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -197,8 +197,7 @@ def _with_interval(number: Interval, factor: float = 1.0, unit: str = "") -> str
     value, half = factor * float(number.value), factor * float(number.half_width)
     if not np.isfinite(value):
         return "not determined; record also the release of a press"
-    digits = decimals_of(half, 2)
-    return f"{rounded(value, digits)} ± {rounded(half, digits)}{unit}"
+    return f"{plus_minus(value, half, 3)}{unit}"
 
 
 def _plain(value: np.ndarray) -> Any:

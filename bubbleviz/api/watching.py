@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from bubbleviz.api.connecting import sensor_of
 from bubbleviz.api.estimator import Estimator, FrameSolver
-from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_place
+from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_publisher
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary
 from bubbleviz.diagnostics import shear_line
@@ -29,7 +29,6 @@ from bubbleviz.live import (
     LiveStream,
     Recorder,
     ResultSender,
-    ZenohPublisher,
     open_stream,
 )
 from bubbleviz.recordings import AUTO, Frame, Message
@@ -213,9 +212,6 @@ def watch(
         The source, the file or the endpoint cannot be opened, or no depth image arrived.
     """
     check_seconds("--duration", duration_s)
-    place = None
-    if listen is not None or connect is not None:
-        place = zenoh_place(listen, connect, credentials)
     own = with_colour_delay(sensor_of(source, sensor), colour_delay_s)
     obj = None if object is None else load_object(object)
     options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
@@ -226,7 +222,9 @@ def watch(
         recorder = _recorder(stack, stream, out, overwrite=overwrite)
         if shear:
             stream.follow_colour()
-        publisher = None if place is None else stack.enter_context(ZenohPublisher(place))
+        publisher = None
+        if listen is not None or connect is not None:
+            publisher = stack.enter_context(zenoh_publisher(listen, connect, credentials))
         stack.enter_context(stream)
         watcher = Watcher.on(stream, own, stop=stop, **options)
 

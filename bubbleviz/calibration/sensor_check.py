@@ -43,7 +43,8 @@ from bubbleviz.wording import count_of, decimals_of, rounded
 CheckVerdict = Literal["fits", "drifted", "another"]
 
 _CAUSES = (*(f"depth {name}" for name in IMAGE_ERRORS), "gas pressure change from the shape")
-_UNITS = ("mm", 1e3), ("mm at 45°", 1e3), ("mm at 45°", 1e3), ("%", 1e2), ("Pa", 1.0)
+_UNITS = "m", "m at 45°", "m at 45°", "1", "Pa"
+_SHOWN = {"m": ("mm", 1e3), "m at 45°": ("mm at 45°", 1e3), "1": ("%", 1e2)}  # in the text
 _GAS = len(IMAGE_ERRORS)  # place of the gas pressure among the causes
 _REMEDY = {
     True: "inflate the sensor to the gauge pressure in its file, or identify it again",
@@ -64,8 +65,7 @@ class CheckRow:
     """One quantity of a check."""
 
     quantity: str
-    unit: str  # of the text; `factor` times SI
-    factor: float
+    unit: str  # SI, or °C
     value: float | None  # SI; None: not determined
     half_width: float | None = None  # half of the 95 % interval
     limit: float | None = None  # absolute value beyond which this quantity alone is a misfit
@@ -73,12 +73,13 @@ class CheckRow:
 
     def texts(self) -> tuple[str, ...]:
         """Cells of a row of the table."""
-        digits = decimals_of(self.factor * (self.half_width or self.limit or 0.0), 3)
+        unit, factor = _SHOWN.get(self.unit, (self.unit, 1.0))
+        digits = decimals_of(factor * (self.half_width or self.limit or 0.0), 3)
         value, half, limit = (
-            "" if number is None else rounded(self.factor * number, digits)
+            "" if number is None else rounded(factor * number, digits)
             for number in (self.value, self.half_width, self.limit)
         )
-        shown = f"{value} {self.unit}" if value else "needs λ"
+        shown = f"{value} {unit}" if value else "needs λ"
         cells = shown, half and f"± {half}", limit and f"± {limit}"
         return self.quantity, *cells, self.todo
 
@@ -122,7 +123,7 @@ def check_sensor(
     rest = _RestComparison(model, frames)
     change_m, limit_m = model.camera_change_m, rest.change_limit_m
     todo = "choose the sensor file of this camera" if change_m > limit_m else ""
-    camera = CheckRow("camera info, rms", "mm", 1e3, change_m, None, limit_m, todo)
+    camera = CheckRow("camera info, rms", "m", change_m, None, limit_m, todo)
     fits = rest.chi2 <= rest.chi2_limit and not camera.todo
     rows = [] if quick and fits else rest.rows()
     found = SensorCheck(
@@ -249,7 +250,7 @@ class _RestComparison:
         square = np.average(self._without(self.causes) ** 2, weights=1.0 / self.frame_variance_m2)
         rms_m, limit_m = float(np.sqrt(square)), self._detectable(1.0, self.frame_variance_m2)
         todo = "identify the sensor again" if rms_m > limit_m else ""
-        return CheckRow("rest shape, rms", "mm", 1e3, rms_m, None, limit_m, todo)
+        return CheckRow("rest shape, rms", "m", rms_m, None, limit_m, todo)
 
     @cached_property
     def _by_gas(self) -> tuple[np.ndarray, np.ndarray]:
@@ -383,7 +384,7 @@ class _RestComparison:
         for k, (name, unit) in enumerate(zip(_CAUSES, _UNITS, strict=True)):
             size, half = self._size(k, together)
             remedy = _REMEDY[k == _GAS] if k in self.causes and not self.shape.todo else ""
-            rows.append(CheckRow(name, *unit, size, half, self._limit(k), remedy))
+            rows.append(CheckRow(name, unit, size, half, self._limit(k), remedy))
         if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown
             rows[_GAS] = replace(rows[_GAS], value=None, half_width=None, limit=None)
         return [*rows, self.shape]
@@ -397,7 +398,7 @@ class _RestComparison:
         large = abs(weather) > WEATHER_PA
         remedy = gas_warning(known + self.gas_change_pa, known) if large else ""
         change = self.gas_change_pa, HALF_95 * self.gas_error_pa, WEATHER_PA, remedy
-        return [CheckRow("gas pressure change measured", "Pa", 1.0, *change)]
+        return [CheckRow("gas pressure change measured", "Pa", *change)]
 
 
 def _another_camera(model: SensorModel, row: CheckRow) -> str:

@@ -36,6 +36,7 @@ class ZenohPublisher:
         wait: bool = False,
     ) -> None:
         self._session = open_session(options)
+        self.endpoint = options.connect or options.listen or ""
         self._domain, self._wait = domain, wait
         self._publishers: dict[tuple[str, str], Any] = {}
         self._tokens: list[Any] = []

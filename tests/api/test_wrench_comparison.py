@@ -10,8 +10,9 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 import bubbleviz as bv
+from bubbleviz.api.validating import ValidationSummary
 from bubbleviz.errors import InputError
-from bubbleviz.output import compare_with_wrench
+from bubbleviz.output import Interval, compare_with_wrench
 from bubbleviz.recordings import RecordingWriter
 from tests.program import output_of, refusal, rows_of
 
@@ -105,6 +106,18 @@ def test_without_contact_there_is_nothing_to_compare():
     t, estimate, measured = pressed(6)
     with pytest.raises(InputError, match="0 frames with contact"):
         compare_with_wrench(t, 0.0 * estimate, measured)
+
+
+def test_text_has_the_digits_that_the_interval_allows():
+    found = replace(
+        compare_with_wrench(*pressed(1)),
+        gain=Interval(np.array(0.80412), np.array(0.0042)),
+        delay_s=Interval(np.array(0.0834), np.array(0.0131)),
+        hysteresis_n=Interval(np.array(0.1), np.array(1e-5)),
+    )
+    text = ValidationSummary("r.mcap", "s", found).to_text()
+    assert "0.804 ± 0.004, estimate" in text and " 83 ± 13 ms" in text
+    assert "0.100 ± 0.001 N" in text  # not 0.000
 
 
 @pytest.fixture(scope="module")

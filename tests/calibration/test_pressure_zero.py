@@ -101,6 +101,15 @@ def test_a_recording_whose_pressure_starts_late_or_ends_early_is_zeroed(sensor, 
         bv.estimate(far, sensor, zero_gas=False)
 
 
+def test_contact_free_frames_of_another_shape_give_no_zero_and_the_sensor_file_is_named(sensor):
+    source = small_source(sensor, heights=6 * (0.06,))
+    bent = 0.004 * np.linspace(-1.0, 1.0, source[0].depth_m.shape[1]) ** 2
+    frames = [replace(f, depth_m=(f.depth_m + bent).astype(np.float32)) for f in source]
+    run = bv.estimate(frames, sensor)
+    assert set(run.status) == {"no_contact"}
+    assert "contact-free frames in a row that fit the sensor file" in run.context["gas_zero"]
+
+
 @pytest.mark.parametrize("pressed", [True, False])
 def test_a_pressure_sensor_that_repeats_one_value_is_not_used(tmp_path, sensor, pressed):
     """Its p_v of zero in a press would make the force too large; the gas law gives p_v instead."""

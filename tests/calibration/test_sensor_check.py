@@ -248,6 +248,9 @@ def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
     words = ("check", recording, "--sensor", file)
     told = json.loads(output_of(*words, "--json"))
     assert told["verdict"] == "fits" and told["frames"][1] <= FREE
+    units = {row["quantity"]: row["unit"] for row in told["rows"]}
+    assert units["depth offset"] == units["rest shape, rms"] == "m"
+    assert units["depth scale"] == "1" and units["gas pressure change from the shape"] == "Pa"
     lines = output_of(*words).splitlines()
     assert lines[0].startswith("fits") and any(line.startswith("depth offset") for line in lines)
     assert "no contact-free frames" in refusal(*words, "--contact-free", "38:45")

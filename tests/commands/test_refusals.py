@@ -84,6 +84,7 @@ REFUSED = [
     ("publish", "--listen tcp/127.0.0.1:1 --connect tcp/127.0.0.1:2", "not both"),
     ("publish", "--connect tcp/127.0.0.1:1", "no Zenoh session"),
     ("publish", "--listen nonsense", "no Zenoh session"),
+    ("publish", "--listen tcp/192.0.2.1:1", "no Zenoh session"),  # no address of this computer
     *(
         (command, source, says)
         for command in ("record", "watch")

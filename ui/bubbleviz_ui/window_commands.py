@@ -105,15 +105,16 @@ def open_recording(
     preset = None if scene is None else load_scene(scene)
     name, chosen = checked_sensor(recording, sensor, depth_topic)
     chosen = with_colour_delay(chosen, colour_delay_s)
-    if sensor in (None, AUTO):
-        click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     from bubbleviz_ui import app
     from bubbleviz_ui.window_session import Startup
 
     startup = Startup(chosen, recording, frame, preset, truth=truth, depth_topic=depth_topic)
+    if screenshot is not None:
+        app.screenshot(replace(startup, frame=frame or 0), screenshot, overwrite=overwrite)
+    if sensor in (None, AUTO):
+        click.echo(f"sensor: preset {name}, whose camera has the image size of {recording}")
     if screenshot is None:
         return app.run_window(startup, fresh=fresh)
-    app.screenshot(replace(startup, frame=frame or 0), screenshot, overwrite=overwrite)
     click.echo(f"wrote {screenshot}")
     return 0
 

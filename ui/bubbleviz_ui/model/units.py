@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from bubbleviz.wording import decimals_of, rounded
+from bubbleviz.wording import decimals_of, plus_minus, rounded
 
 DASH = "–"
 """Shown in place of a missing number."""
@@ -36,18 +36,11 @@ class Unit:
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
 
     def with_interval(self, si: float | None, half_width: float | None) -> str:
-        """Text: number ± half of its 95 % interval, rounded to significant digits, with unit.
-
-        The half width is shown as 0 only if it is exactly 0.
-        """
+        """Text: number ± half of its 95 % interval, rounded to significant digits, with unit."""
         if si is None or half_width is None or not math.isfinite(si + half_width):
             return self.text(si)
-        shown = self.from_si(half_width)
-        if half_width > 0.0:
-            shown = max(shown, 10.0**-self.digits)
-        decimals = decimals_of(shown, self.digits)
-        number, shown_half = (rounded(each, decimals) for each in (self.from_si(si), shown))
-        return f"{number} ± {shown_half} {self.symbol}"
+        shown = plus_minus(self.from_si(si), self.from_si(half_width), self.digits)
+        return f"{shown} {self.symbol}"
 
     def between(self, low: float, high: float) -> str:
         """Ends of a 95 % interval, rounded to significant digits, and unit."""
