@@ -107,7 +107,7 @@ def test_publish_watch_and_record_a_source_with_results(tmp_path, small_sensor_f
     try:
         eventually(lambda: listens(port))
         for duration in (1.6, 10.0, 60.0):  # on a busy machine few frames are seen in a second
-            out = tmp_path / f"{duration:g}"
+            out = tmp_path / f"{duration:.0f}"
             told = output_of(
                 *("watch", "--source", f"zenoh:{endpoint}", *sensor, "--json", "--out", out),
                 *("--duration", duration, "--publish", "tcp/127.0.0.1:0", "--object", "sphere"),
