@@ -28,7 +28,6 @@ from bubbleviz.files import (
     named_file,
     presets_folder,
     read_toml,
-    refuse_existing,
     transform,
     whole_file,
 )
@@ -350,11 +349,10 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
         written.
     """
     path = Path(path)
-    refuse_existing(path, ".toml", overwrite=overwrite)
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
         # Files appear in reverse order: the sensor file last, after the files that it names.
-        toml = files.enter_context(whole_file(path, overwrite=overwrite))
+        toml = files.enter_context(whole_file(path, ".toml", overwrite=overwrite))
 
         def copied(name: str) -> str:
             original, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)

@@ -475,12 +475,9 @@ class Run(Sequence[FrameResult], Summary):
         if out is None:
             yield lambda _: None
             return
-        refuse_existing(out, ".npz", overwrite=overwrite)
-        if csv:
-            refuse_existing(csv, ".csv", overwrite=overwrite)
         with ExitStack() as stack:
-            archive = stack.enter_context(whole_file(out, overwrite=overwrite))
-            table = stack.enter_context(whole_file(csv, overwrite=overwrite)) if csv else None
+            archive = stack.enter_context(whole_file(out, ".npz", overwrite=overwrite))
+            table = csv and stack.enter_context(whole_file(csv, ".csv", overwrite=overwrite))
             count, shape = len(self) if frames is None else frames, self.model.view.shape
             shear = self.context.get("texture") is not None
             writer = ResultWriter(archive, self.model.mesh, count, shape, shear=shear)

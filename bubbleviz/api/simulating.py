@@ -13,7 +13,7 @@ import numpy as np
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.errors import InputError, check_choice, check_number
-from bubbleviz.files import parse_pose, read_path, refuse_existing, whole_file
+from bubbleviz.files import parse_pose, read_path, whole_file
 from bubbleviz.membrane import build_mesh, checked_pose
 from bubbleviz.output import surface_arrays
 from bubbleviz.progress import Progress, quiet
@@ -74,12 +74,9 @@ class Simulation(Frames):
         """
         if truth is not None and Path(truth).absolute() == Path(out).absolute():
             raise InputError(f"{out}: given for both --out and --truth; choose two names")
-        refuse_existing(out, ".mcap", "", overwrite=overwrite)
-        if truth is not None:
-            refuse_existing(truth, ".npz", overwrite=overwrite)
         truths: list[Truth] = []
         with OneBlasThread(), ExitStack() as stack:
-            file = stack.enter_context(whole_file(truth, overwrite=overwrite)) if truth else None
+            file = truth and stack.enter_context(whole_file(truth, ".npz", overwrite=overwrite))
             writer = stack.enter_context(RecordingWriter(out, overwrite=overwrite))
             for done, index in enumerate(self.chosen, 1):
                 writer.write(self.source[index])

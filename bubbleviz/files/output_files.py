@@ -37,16 +37,16 @@ _UNFINISHED = re.compile(r"\..*\.(([0-9a-f]{8})-([1-9]\d*)-[0-9a-f]{8})(?:\.[^.]
 
 
 @contextmanager
-def whole_file(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
+def whole_file(path: str | Path, *suffixes: str, overwrite: bool = False) -> Iterator[Path]:
     """Temporary path in the same folder, renamed to `path` if the block ends without an error.
 
     Write a file or a folder to the temporary path, which does not exist yet and has the same
     suffix. If the block raises, it is removed, and an existing `path` is unchanged.
 
-    Raises InputError: `path` exists, its folder does not, or writing fails.
+    Raises InputError: as `refuse_existing`, or writing fails.
     """
     path = Path(path)
-    refuse_existing(path, overwrite=overwrite)
+    refuse_existing(path, *suffixes, overwrite=overwrite)
     remove_unfinished(path)
     temporary = _hidden(path, f"{_computer()}-{os.getpid()}-{secrets.token_hex(4)}")
     try:

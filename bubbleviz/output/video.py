@@ -122,11 +122,9 @@ def open_mp4(
     added.
     """
     path = Path(path)
-    if path.suffix.lower() != ".mp4":
-        raise InputError(f"{path}: not the name of a video; give one that ends in .mp4")
     if not 0.0 < fps <= 1000.0:
         raise InputError(f"{path}: {fps:g} pictures per second; choose above 0, up to 1000")
-    with whole_file(path) as temporary, tempfile.TemporaryFile() as messages:
+    with whole_file(path, ".mp4") as temporary, tempfile.TemporaryFile() as messages:
         writer = Mp4Writer(path, temporary, fps, messages)
         try:
             yield writer

@@ -43,7 +43,8 @@ class RecordingWriter:
 
     def __enter__(self) -> RecordingWriter:
         with ExitStack() as stack:
-            temporary = stack.enter_context(whole_file(self.path, overwrite=self._overwrite))
+            whole = whole_file(self.path, ".mcap", "", overwrite=self._overwrite)
+            temporary = stack.enter_context(whole)
             self._file = McapFile(temporary, name=self.path.name, chunk_bytes=CHUNK_BYTES)
             stack.push(self._finish)
             self._open_files = stack.pop_all()

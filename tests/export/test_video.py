@@ -62,7 +62,7 @@ def test_refusals_before_the_work(tmp_path):
     never: Iterator[np.ndarray] = iter(())
     with pytest.raises(InputError, match="exists already"):
         write(there, never, 30.0)
-    with pytest.raises(InputError, match=r"ends in \.mp4"):
+    with pytest.raises(InputError, match=r"end it in \.mp4"):
         write(tmp_path / "x.avi", never, 30.0)
     with pytest.raises(InputError, match="pictures per second"):
         write(tmp_path / "x.mp4", never, float("nan"))
