@@ -28,7 +28,7 @@ class RecordingWriter:
 
     def __init__(
         self,
-        path: str | Path,  # `X.mcap` for one bare file, any other name for a rosbag2 folder
+        path: str | Path,  # `X.mcap` for one bare file, a name without suffix for a rosbag2 folder
         *,
         # depth as float32 m, or as uint16 mm: half the size, rounded to 1 mm, at most 65.5 m
         encoding: Encoding = "32FC1",
