@@ -106,6 +106,11 @@ def test_a_negative_duration_is_refused(verb, sensor, tmp_path):
         getattr(bv, verb)("synthetic:", sensor=sensor, duration_s=-1, **given)
 
 
+def test_a_domain_that_ros_does_not_have_is_refused():
+    with pytest.raises(bv.InputError, match="--domain -1: give a finite number from 0 to 232"):
+        bv.publish("synthetic:", domain=-1)
+
+
 def test_a_negative_time_out_is_refused(sensor):
     with pytest.raises(bv.InputError, match="timeout_s -1: give a finite number of 0 or more"):
         bv.connect("synthetic:", sensor, timeout_s=-1)
