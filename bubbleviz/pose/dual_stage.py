@@ -42,11 +42,6 @@ _VALID_M, _CONVERGED_M = 1e-3, 2e-4
 """Motion of the patch's edge from that of a linear model up to which it is reused from frame to
 frame, and the first pose of an object has converged. At two thirds of the longest step the error of
 the derivatives is less than half."""
-_REUSE = 3.3
-"""Factor of a motion's covariance: errors of linear models that are reused up to `_VALID_M` away
-are the same from frame to frame, but the filter averages them as noise. The size was chosen on
-earlier paths; that it is kept, on others: without it ellipsoids of moving nuts and toys hold 79 to
-88 % of the poses, with it 92 to 100 %. For objects at rest they are too wide, and hold all."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 _AS_LIKELY = 12.6
@@ -115,7 +110,7 @@ class Solver:
             stage_one=replace(first, ms=1e3 * (between - began)),
             stage_two=replace(fit, ms=1e3 * (time.perf_counter() - between)),
             center_m=contact.center,
-            covariance=here @ (_REUSE * motion.covariance[:6, :6] + persistent) @ here.T,
+            covariance=here @ (motion.covariance[:6, :6] + persistent) @ here.T,
             motions=found.motions,
             deviation_m=found.deviation_m,
             determined=found.determined,

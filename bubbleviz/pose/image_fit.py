@@ -43,6 +43,7 @@ class PredictedImage:
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the press's centre
     on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
+    square: np.ndarray  # (b,) int, in which they are, as wide as the estimate's resolution
     area_m2: float  # of the membrane in these pixels
     press: Press
     by_loads_m: float = 0.0  # motion of a node, at most, by friction and gas pressure since then
@@ -142,9 +143,14 @@ class ImageFit:
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
-        per_m4 = float(weight.sum()) / predicted.area_m2
-        persistent = np.linalg.inv(information + START_INFORMATION)
-        persistent *= per_m4 / self._precision.of_model
+        # Model errors are independent between areas of the size of the estimate's resolution: of
+        # the membrane's position, and of the radius at which it leaves the object's edges.
+        position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
+        pulls = (J[:, :6] - J[:, 6:] @ gain.T) * (weight * predicted.rounding[valid])[:, None]
+        square = predicted.square[valid]
+        radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in pulls.T])
+        covariance = np.linalg.inv(information + START_INFORMATION)
+        persistent = position * covariance + covariance @ radius @ radius.T @ covariance
         return ImageStep(information, g, persistent)
 
     def predicted(
@@ -193,12 +199,15 @@ class ImageFit:
         columns = vector_columns(mesh.triangles)[hits.triangle]
         J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
         vectors = area_vectors(press.nodes, mesh.triangles[np.unique(hits.triangle)])
+        square = np.floor(self._places[pixel[:, 0], :2] / self._precision.resolution_m).astype(int)
+        square -= square.min(axis=0, initial=0)
         return PredictedImage(
             pixel=pixel,
             expected_m=hits.range_m - self._rest_m[pixel].mean(axis=1),
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
+            square=np.ravel_multi_index(square.T, square.max(axis=0, initial=0) + 1),
             area_m2=float(np.linalg.norm(vectors, axis=1).sum()),
             press=press,
         )

@@ -351,6 +351,28 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
         assert off @ each.information @ off < 12.6  # χ² of six degrees of freedom, 95 %
 
 
+def test_persistent_covariance_is_that_of_model_errors(pipeline, contact, image):
+    """Of the membrane's position and of the radius of edges, independent between areas."""
+    fit, found = image
+    rng, precision, pixel = np.random.default_rng(0), precision_of(pipeline.estimator), found.pixel
+    observer, mesh = pipeline.estimator.observer, pipeline.mesh
+    at_rest_m = ranges(pipeline, pixel[:, 0], mesh.nodes, mesh.triangles)
+    places = at_rest_m[:, None] * observer.camera.directions[observer.pixel[pixel[:, 0]]]
+    squares = np.floor(places[:, :2] / precision.resolution_m)
+    squares, square = np.unique(squares, axis=0, return_inverse=True)
+    deviation_m = np.sqrt(len(pixel) / found.area_m2 / precision.of_model)
+    every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
+    change, small, distances = np.full(int(pixel.max()) + 1, np.nan), 0.05, []
+    for _ in range(200):
+        error_m = deviation_m * rng.standard_normal(len(pixel))
+        error_m += ROUNDING_M * rng.standard_normal(len(squares))[square.ravel()] * found.rounding
+        change[pixel[:, 0]] = found.expected_m + small * error_m
+        step = fit.step(change, contact, pose(), every, valid_m=1e-3)
+        off = np.linalg.pinv(step.information, hermitian=True) @ step.gradient / small  # no spin
+        distances.append(off @ np.linalg.solve(step.persistent, off))
+    assert 4.0 < np.mean(distances) < 6.0  # all but the spin, 5
+
+
 def test_noise_of_many_pixels_averages_out(pipeline, rubber, contact, image):
     """A sixth of the groups, each of six pixels, determines the pose as well as all pixels."""
     every, (_, alone) = Directions(np.eye(6), np.ones(6), np.zeros(6, bool)), image
