@@ -29,6 +29,7 @@ UPPER_95 = 1.6
 deviation is a fifth."""
 
 MAD = 0.6745  # median of |z| of a standard normal z
+_MIDDLE_MEAN = 0.6934  # mean of the middle half of its |z|
 
 
 class BlockSquares:
@@ -49,15 +50,21 @@ class BlockSquares:
         self,
         block: np.ndarray,  # (k,) int, positions in `blocks`
         z: np.ndarray,  # (k,), errors in standard deviations; 0 where nothing was measured
+        steady: bool = False,  # see below
     ) -> float:
         """Noise factor: σ of the errors over the expected σ; 1 if there are too few errors.
 
         By the median of their sums over squares, in which model errors and correlated noise, which
-        are similar in neighbouring blocks, do not average out.
+        are similar in neighbouring blocks, do not average out. `steady`: by the mean of the middle
+        half of them, which does not jump by the distance of two sums (5 %) if a few change, but
+        needs three quarters of the squares to be without large errors.
         """
-        means = self._means(block, z)
-        means = means[np.isfinite(means)]
-        return float(median(np.abs(means)) / MAD) if means.size else 1.0
+        sizes = np.abs(self._means(block, z))
+        sizes = np.sort(sizes[np.isfinite(sizes)])
+        if not sizes.size:
+            return 1.0
+        cut = round(0.25 * len(sizes)) if steady else (len(sizes) - 1) // 2
+        return float(sizes[cut : len(sizes) - cut].mean() / (_MIDDLE_MEAN if steady else MAD))
 
     def rough_noise_factor(self, block: np.ndarray, z: np.ndarray) -> float:
         """The same by second differences of squares, which are hardly changed by smooth motion."""
@@ -492,14 +499,18 @@ class RangeObserver:
         )
 
     def noise_factor(
-        self, observation: Observation, block: np.ndarray, error_m: np.ndarray
+        self,
+        observation: Observation,
+        block: np.ndarray,
+        error_m: np.ndarray,
+        steady: bool = False,
     ) -> float:
         """Noise factor of errors (k,) of some blocks, see `BlockSquares.noise_factor`.
 
         Below 1 it is an upper limit (95 %), and at least the error of the mesh's facets.
         """
         weight = observation.weight[block] / observation.trusted
-        found = self._squares.noise_factor(block, error_m * np.sqrt(weight))
+        found = self._squares.noise_factor(block, error_m * np.sqrt(weight), steady)
         if found >= 1.0:
             return found
         facets = self.facet_error_m * float(np.sqrt(np.median(weight[weight > 0.0])))

@@ -22,9 +22,8 @@ from bubbleviz.inverse.contact_problem import (
     touching_parts,
 )
 from bubbleviz.inverse.estimator import Estimator
-from bubbleviz.inverse.gauss_newton import TANGENT_REUSE
 from bubbleviz.inverse.measurements import Measurements, Nuisances
-from bubbleviz.inverse.resolution import at_noise, noise_at, resolution_m
+from bubbleviz.inverse.resolution import at_noise, resolution_m
 from bubbleviz.inverse.response import Bubble, ConstantTension, RubberBubble
 from bubbleviz.membrane import MembraneMesh, Refined, grown, refined_part
 from bubbleviz.result import Estimate, FineContact
@@ -39,16 +38,19 @@ identified ones of up to 0.15 mm of noise are. On a dome pressed by another solv
 nodes have an IoU of 0.96 with refinement and 0.89 without, where 3,000 nodes have 0.95 and take six
 times as long.
 """
-_MOST_NODES, _MOST_TWICE = 100, 12
-"""Most nodes of a contact that is refined, and refined twice: the time grows with the square of the
-number of finer nodes, and is some 80 ms for the 200 finer nodes of one that is refined twice."""
+_MOST_NODES, _MOST_TWICE = 100, 10.0
+"""Most nodes of a contact that is refined, and most `_evenly_loaded` nodes (of some 12) of one that
+is refined twice: the time grows with the square of the number of finer nodes, and is some 80 ms for
+the 200 finer nodes of one that is refined twice. Light nodes, which two estimates of a frame may
+not share, hardly count."""
 _FINER_RINGS, _MOVING_RINGS = 2, 6
 """Rings of nodes around the contact that are refined, and rings around those that may move. In the
 hold of the real press, 4 of the latter change the area, 6 do not."""
 _STEPS = 2
-"""Gauss–Newton steps: the first with the noise factor of the estimate, which includes errors of its
-mesh; the second with that by the residual of the first, without smooth errors. After two
-refinements one more: that residual still has errors of the first mesh."""
+"""Gauss–Newton steps: the first with the noise factor of the estimated shape, which includes errors
+of its mesh; the second with that by the residual of the first, without smooth errors. After two
+refinements one more, with the tangent of the second: that residual still has errors of the first
+mesh. With one tangent for all of them, areas of one frame differ by 5 %."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,6 @@ class ContactRefiner:
 
     def __init__(self, model: SensorModel, estimator: Estimator) -> None:
         self._model, self._estimator = model, estimator
-        self._reuse_m = TANGENT_REUSE * 0.5 * model.mesh.edge_length
         # of the mean error of a square, by which noise factors are determined
         of_square = estimator.information * model.mesh.facet_areas.sum() / SQUARES
         self._mean_sigma_m = float(of_square) ** -0.5
@@ -123,14 +124,11 @@ class ContactRefiner:
         touching = touching_parts(self._model.mesh, pressure > 0.0, pressure, gas, resolution)
         if not 0 < np.count_nonzero(touching) <= _MOST_NODES:
             return None
-        noise = noise_at(resolution, camera)
-        small = np.count_nonzero(touching) <= _MOST_TWICE
+        small = _evenly_loaded(pressure[touching]) <= _MOST_TWICE
         limit_m = 0.5 * _FRAME_LIMIT * self._model.mesh.edge_length  # of the mesh refined once
         for twice in (True, False) if small and nominal <= limit_m else (False,):
             try:
-                fine = self._solve(
-                    self._part(touching, twice), depth_m, estimate, noise, mean_noise
-                )
+                fine = self._solve(self._part(touching, twice), depth_m, estimate, mean_noise)
             except (RuntimeError, np.linalg.LinAlgError, InputError):
                 continue  # a singular tangent, or Hessian; or no pixel sees the part
             if fine and not (twice and fine.resolution_m > limit_m):
@@ -191,12 +189,7 @@ class ContactRefiner:
         return RangeObserver(camera, mesh, noise, model.pixels, block, seen)
 
     def _solve(
-        self,
-        part: _Part,
-        depth_m: np.ndarray,
-        estimate: Estimate,
-        noise: float,
-        mean_noise: float,
+        self, part: _Part, depth_m: np.ndarray, estimate: Estimate, mean_noise: float
     ) -> FineContact | None:
         finer, observer, bubble = part.finer, part.observer, part.bubble
         gas, least = estimate.gas_pressure_change_pa, self._gas_pressure(estimate)
@@ -212,22 +205,24 @@ class ContactRefiner:
         if estimate.friction_n is not None:  # interpolated as a traction
             areas = self._model.mesh.areas[:, None]
             friction = finer.values(estimate.friction_n / areas) * finer.mesh.areas[:, None]
-        measured, view, response = observer.measure(depth_m), None, None
+        measured, view, noise = observer.measure(depth_m), None, 1.0
         off_m = np.zeros(observer.blocks)
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
-        beyond_m = np.sqrt(max(noise**2 - mean_noise**2, 0.0)) * self._mean_sigma_m
-        root = beyond_m * np.eye(part.smooth.shape[1])
-        for _ in range(_STEPS + part.twice):
+        for step in range(_STEPS + part.twice):
             view = observer.around(x, view)
             expected = view.model_m + off_m
             observation = observer.weigh(measured, expected)
             error = observation.residual_m[view.block] - expected[view.block]
+            if not step:
+                noise = observer.noise_factor(observation, view.block, error, steady=True)
+                beyond_m = np.sqrt(max(noise**2 - mean_noise**2, 0.0)) * self._mean_sigma_m
+                root = beyond_m * np.eye(part.smooth.shape[1])
             weight = observation.weight[view.block] / noise**2
             smooth = Nuisances.joined([], part.smooth[view.block], len(x))
             smooth = replace(smooth, root=root)
             ranges = Measurements(view.jacobian, error, weight, smooth)
-            if response is None or float(np.abs(x - response.x).max()) > self._reuse_m:
+            if step < _STEPS:
                 response = bubble.linearised(x, pressure, gas)
             relaxing = response.motion(friction - bubble.residual(x, pressure, gas))
             problem = ContactProblem(response, ranges, part.prior, pressure, relaxing)
@@ -238,7 +233,7 @@ class ContactRefiner:
             x, pressure, support = x + contact.motion, contact.pressure, contact.support
             residual = error - view.jacobian @ contact.motion.ravel()
             residual -= smooth.error(contact.amplitudes)
-            noise = observer.noise_factor(observation, view.block, residual)
+            noise = observer.noise_factor(observation, view.block, residual, steady=True)
         return FineContact(
             finer.mesh,
             finer.ends,
@@ -258,6 +253,11 @@ def mesh_limits(estimator: Estimator, mean_noise: float = 1.0) -> bool:
     return resolution < _SENSOR_LIMIT * estimator.mesh.edge_length
 
 
+def _evenly_loaded(pressure: np.ndarray) -> float:
+    """Effective number of nodes that carry a pressure, (Σp)² / Σp²."""
+    return float(pressure.sum() ** 2 / (pressure @ pressure))
+
+
 def _within(rings: np.ndarray, nodes: np.ndarray, count: int) -> np.ndarray:
     """Nodes (n,) bool within `count` rings of a set."""
     for _ in range(count):
@@ -270,7 +270,7 @@ def _smooth_errors(observer: RangeObserver) -> np.ndarray:
 
     Errors of the model around a contact, such as of the stress in an oval membrane, are smooth.
     Taken for noise they would blur the contact. Their prior is what the noise factor of the
-    estimate has beyond the noise of the camera.
+    estimated shape has beyond the noise of the camera.
     """
     forward, *tilts = observer.image_errors[:, :3].T
     across = [tilt / np.where(forward > 0.0, forward, 1.0) for tilt in tilts]

@@ -256,6 +256,8 @@ def test_noise_factor_uses_mostly_visible_blocks():
     block, white = np.arange(rows * columns), rng.standard_normal((rows, columns))
     assert squares.noise_factor(block, 3.0 * white.ravel()) == pytest.approx(3.0, rel=0.15)
     assert squares.noise_factor(block, 0.3 * white.ravel()) == pytest.approx(0.3, rel=0.15)
+    steady = squares.noise_factor(block, 3.0 * white.ravel(), steady=True)
+    assert steady == pytest.approx(3.0, rel=0.15)
     shared = np.repeat(np.repeat(rng.standard_normal((15, 20)), 4, axis=0), 4, axis=1)
     assert squares.noise_factor(block, shared.ravel()) > 2.0
     sparse = white.copy()
