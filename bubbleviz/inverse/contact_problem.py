@@ -248,8 +248,6 @@ class ContactPressure:
     pivots : int
     converged, complete : bool
         As of `Selection`.
-    kkt_residual : float
-        ‖min(p, ∇)‖ of the debiased problem on its support, both over their largest.
     amplitudes : (a,) array
         Of the nuisances.
     problem : ContactProblem
@@ -262,7 +260,6 @@ class ContactPressure:
     pivots: int
     converged: bool
     complete: bool
-    kkt_residual: float
     amplitudes: np.ndarray
     problem: ContactProblem
 
@@ -430,7 +427,6 @@ class ContactProblem:
             pivots,
             selection.converged and solved,
             selection.complete,
-            self._kkt(pressure, support) if support.any() else 0.0,
             amplitudes,
             self,
         )
@@ -572,12 +568,6 @@ class ContactProblem:
         scale = float(np.abs(self._gradient_at_zero).max())
         gradient = self.gradient(pressure)[where] / scale
         return float(np.abs(np.minimum(pressure[where] / pressure.max(), gradient)).max())
-
-    def _kkt(self, pressure: np.ndarray, support: np.ndarray) -> float:
-        gradient = (self._hessian @ pressure[self._nodes] + self._linear)[support[self._nodes]]
-        scale = float(np.abs(self._linear).max())
-        share = pressure[support] / max(float(pressure.max()), 1e-300)
-        return float(np.abs(np.minimum(share, gradient / scale)).max())
 
     def _motion(self, pressure: np.ndarray) -> np.ndarray:
         """Motion to equilibrium under a pressure (n,), (n, 3)."""

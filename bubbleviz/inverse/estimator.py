@@ -324,7 +324,7 @@ class Estimator:
             contact_pressure_pa=state.pressure,
             gas_pressure_change_pa=state.gas,
             residual_rms_m=answer.misfit.rms_m,
-            kkt_residual=contact.kkt_residual,
+            kkt_residual=contact.problem.kkt_residual(contact.pressure),
             iterations=contact.pivots,
             solve_ms=answer.solve_ms,
             displacement_3d_m=moved,

@@ -41,11 +41,6 @@ def at_noise(resolution_m: float, factor: float) -> float:
     return resolution_m * factor ** (1.0 / 3.0)
 
 
-def noise_at(resolution_m: float, nominal_m: float) -> float:
-    """Inverse of `at_noise`: the noise factor from the widths ℓ with it and without, m."""
-    return (resolution_m / nominal_m) ** 3
-
-
 # Detection threshold: the weight of the L1 term.
 
 

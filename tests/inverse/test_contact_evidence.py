@@ -18,7 +18,7 @@ OUT = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
 def contact_of(pressure, variances):
     """A solution with these pressures (n,) and variances (k,) of the nonzero ones."""
     return ContactPressure(
-        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, 0.0, np.zeros(0),
+        pressure > 0.0, pressure, np.zeros_like(MESH.nodes), 0, True, True, np.zeros(0),
         SimpleNamespace(covariance=lambda _: np.diag(variances)),
     )  # fmt: skip
 
