@@ -184,22 +184,6 @@ class Step:
         return float(np.abs(self.motion).max())
 
 
-def _settled(hyper: Hyperparameters, tried: Sequence[Hyperparameters], known: ImageErrors) -> bool:
-    """Whether a support was selected with the hyperparameters of its own evidence, or larger ones.
-
-    Two noise factors, or the `known` and other errors of the image, can each have the support with
-    which the other one is more likely: then the larger ones are taken.
-    """
-    last = tried[-1]
-    if hyper.image_errors is last.image_errors and are_neighbours(hyper.noise, last.noise):
-        return True
-
-    def size(each: Hyperparameters) -> tuple[bool, Noise]:
-        return each.image_errors is not known, each.noise
-
-    return size(hyper) in map(size, tried) and size(hyper) <= size(tried[-1])
-
-
 class GaussNewton:
     """Linearised problems of single frames, and their steps.
 
@@ -353,14 +337,13 @@ class GaussNewton:
         rounds: int,
         fit_image: bool,
         near: bool,
-        tried: list[Hyperparameters],
     ) -> Step | None:
         """A step from a state by a tangent, or None if its problem was not solved.
 
         Its support is selected in so many rounds, with given hyperparameters; errors of the whole
         image are fitted or zero. Near the solution friction is fitted, parts of the contact that
-        are not significant are left out, and hyperparameters are those of its own evidence; those
-        that supports were selected with are added to the ones `tried` in the frame.
+        are not significant are left out, and hyperparameters are those of its own evidence: its
+        support is selected again until it was with these, or with neighbours of its noise factor.
         """
         measurements, friction = self._measurements(
             tangent, state, observed, gas, hyper, near, fit_image
@@ -381,8 +364,8 @@ class GaussNewton:
                 selected_with = hyper
                 break
             selections += 1
-            tried.append(selected_with)
-            settled = _settled(hyper, tried, observed.image_prior)
+            same_image = hyper.image_errors is selected_with.image_errors
+            settled = same_image and are_neighbours(hyper.noise, selected_with.noise)
             if settled or selections == _MAX_SOLUTIONS:
                 break
             selected_with, problem, support = hyper, contact.problem, contact.support

@@ -182,7 +182,6 @@ class Iteration:
         self._hyper = Hyperparameters(start.noise, scales, image_errors)
         self._start_noise = start.noise
         self._noises: list[Noise] = []  # factors solved with; inf: only used for a first guess
-        self._tried: list[Hyperparameters] = []  # that supports were selected with
         self._near = self._warm  # the errors of the linearisation are small
         self._following = self._observe() if self._warm else None
         self._image_shows_rest = self._following is None or newton.shows_rest(
@@ -231,7 +230,6 @@ class Iteration:
                 rounds,
                 fit_image,
                 self._near,
-                self._tried,
             )
             if step is None:
                 break
@@ -424,9 +422,7 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
     fits = newton.fits_without_contact(observed, None)
     rest_tangent = newton.tangent_at(newton.rest, None)
     hyper = Hyperparameters(AS_EXPECTED, WIDEST, observed.image_prior)
-    step = newton.step(
-        rest_tangent, newton.rest, observed, None, hyper, int(not fits), fits, False, []
-    )
+    step = newton.step(rest_tangent, newton.rest, observed, None, hyper, int(not fits), fits, False)
     if step is None or not step.state.balanced:
         return False
     shows_rest = newton.shows_rest(observed, step.contact.pressure)
