@@ -308,7 +308,7 @@ class ContactProblem:
         self._assembled_with, self._factor = measurements, 1.0
         """Measurements with which nodes are assembled, and the present weights over theirs."""
         self._weighed: np.ndarray | None = None
-        """Of the assembled nodes, see `_hessian_factors`."""
+        """√W J of the assembled nodes, (k, assembled)."""
 
     @cached_property
     def _unloaded(self) -> np.ndarray:
@@ -498,15 +498,16 @@ class ContactProblem:
             return
         S = self._membrane.coordinates(nodes)
         self._pulled = np.concatenate([self._pulled, S.T @ self._weighed_rows])
-        half, weighed = self._hessian_factors(S)
+        weighed = self._rows @ S
+        weighed *= np.sqrt(self._assembled_with.weight)[:, None]
         before = len(self._assembled)
         self._position[nodes] = before + np.arange(len(nodes))
         self._assembled = np.concatenate([self._assembled, nodes])
         among = np.empty((len(self._assembled), len(self._assembled)))
         among[:before, :before] = self._data_hessian
-        among[before:, before:] = half.T @ weighed
+        among[before:, before:] = weighed.T @ weighed
         if self._weighed is not None:
-            between = half.T @ self._weighed
+            between = weighed.T @ self._weighed
             among[before:, :before], among[:before, before:] = between, between.T
             weighed = np.hstack([self._weighed, weighed])
         self._weighed, self._data_hessian = weighed, among
@@ -523,27 +524,6 @@ class ContactProblem:
         weighed = measured.nuisances_weighed, measured.weight * self._error
         pulled: np.ndarray = self._rows.T @ np.column_stack(weighed)
         return pulled
-
-    @cached_property
-    def _information(self) -> sparse.csc_array | None:
-        """Dᵀ W D, (m, m); None where D has hardly more rows than that."""
-        rows = self._rows
-        if rows.shape[0] < 2 * rows.shape[1]:
-            return None
-        weighed = rows.copy()
-        weighed.data *= np.repeat(self._assembled_with.weight, np.diff(rows.indptr))
-        return rows.T @ weighed
-
-    def _hessian_factors(self, S: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Two matrices (…, c) for motions S (m, c), the first of which times the second is SᵀDᵀWDS.
-
-        They are S and DᵀWDS, or twice √W D S: whichever is smaller.
-        """
-        if self._information is not None:
-            return S, self._information @ S
-        root = self._rows @ S
-        root *= np.sqrt(self._assembled_with.weight)[:, None]
-        return root, root
 
     def _steepest(self, gradient: np.ndarray) -> np.ndarray:
         """The nodes with the steepest gradient per area; others are added later."""
