@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QObject, Qt, SignalInstance, qVersion
 from PySide6.QtGui import QAction, QActionGroup, QKeySequence
-from PySide6.QtWidgets import QDockWidget, QInputDialog, QMenu, QMessageBox
+from PySide6.QtWidgets import QDialog, QDockWidget, QInputDialog, QMenu, QMessageBox
 from vtkmodules.vtkCommonCore import vtkVersion
 
 import bubbleviz
@@ -28,11 +28,14 @@ from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.panels.view_tools_panel import VIEWS
+from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.shell.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.shell.command_palette import CommandPalette
+from bubbleviz_ui.shell.settings_dialog import SettingsDialog
 from bubbleviz_ui.shell.shortcuts import DYNAMIC, Shortcuts, ShortcutsDialog
+from bubbleviz_ui.shell.text_dialogs import InformationDialog, MessagesDialog, PagesDialog
 
 if TYPE_CHECKING:
     from bubbleviz_ui.importing.import_dialog import ImportDialog
@@ -54,7 +57,7 @@ class Menus(QObject):
         self._view(bar.addMenu("&View"))
         self._help(bar.addMenu("&Help"))
         self.shortcuts = Shortcuts(bar)
-        window.message.open_requested.connect(self.show_messages)
+        window.message.more.clicked.connect(self._messages.trigger)
         window.status.clicked.connect(self.show_performance)
 
     def close(self) -> None:
@@ -71,34 +74,6 @@ class Menus(QObject):
             window, window.state, window.controller, window.stage_times, window.view
         )
         popup.open_over(window.status)
-
-    def show_messages(self) -> None:
-        """Show all messages of this session."""
-        from bubbleviz_ui.shell.text_dialogs import MessagesDialog  # not at start
-
-        MessagesDialog(self._window, self._window.messages).show()
-
-    def show_information(self) -> None:
-        """Show the contents of the open recording."""
-        from bubbleviz_ui.shell.text_dialogs import InformationDialog  # not at start
-
-        InformationDialog(self._window, self._window.controller, self._window.reading).open()
-
-    def show_contacts(self) -> None:
-        """Show a list of all contacts."""
-        from bubbleviz_ui.playback.contacts_dialog import ContactsDialog  # not at start
-
-        ContactsDialog(self._window, self._window.state).show()
-
-    def show_pages(self) -> None:
-        """Show the documentation."""
-        from bubbleviz_ui.shell.text_dialogs import PagesDialog  # not at start
-
-        PagesDialog(self._window, pages_folder()).show()
-
-    def show_palette(self) -> None:
-        """Show the command palette."""
-        CommandPalette(self._window, self.shortcuts).open_over(self._window)
 
     def show_connect(self) -> None:
         """Open the dialog for live sources."""
@@ -137,16 +112,6 @@ class Menus(QObject):
         self._import.show()
         self._import.raise_()
 
-    def show_shortcuts(self) -> None:
-        """Show the keyboard shortcuts."""
-        ShortcutsDialog(self._window, self.shortcuts).open()
-
-    def show_settings(self) -> None:
-        """Show the settings."""
-        from bubbleviz_ui.shell.settings_dialog import SettingsDialog  # not at start
-
-        SettingsDialog(self._window, self._window.state, self._window.undo_recorder).show()
-
     # -- menus --------------------------------------------------------------------------------
 
     def _file(self, menu: QMenu) -> None:
@@ -158,7 +123,8 @@ class Menus(QObject):
         self._recent(menu.addMenu("Open &recent"))
         menu.addMenu(DepthTopicMenu(self._window, menu))
         self._add(menu, "Re&load", self._window.controller.opening.reload, "F5")
-        self._add(menu, "Infor&mation…", self.show_information, "Alt+Return")
+        about = self._window.controller, self._window.reading
+        self._dialog(menu, "Infor&mation…", InformationDialog, *about, keys="Alt+Return")
         self._add(menu, "&Close", files.close, "Ctrl+W")
         menu.addSeparator()
         self._add(menu, "Open sess&ion…", files.choose_session, "Ctrl+Shift+S")
@@ -183,13 +149,19 @@ class Menus(QObject):
         fill()
 
     def _help(self, menu: QMenu) -> None:
-        palette = self._add(menu, "&Command palette…", self.show_palette)
+        window = self._window
+        palette = self._add(
+            menu,
+            "&Command palette…",
+            lambda: CommandPalette(window, self.shortcuts).open_over(window),
+        )
         palette.setShortcuts([QKeySequence("Ctrl+K"), QKeySequence("Ctrl+Shift+P")])
         self._add(menu, "&Performance", self.show_performance, "Ctrl+I")
-        self._add(menu, "&Messages…", self.show_messages)
-        self._add(menu, "&Documentation…", self.show_pages, "F1")
-        self._add(menu, "&First steps", self._window.hint.show)
-        self._add(menu, "&Keyboard shortcuts…", self.show_shortcuts, "Ctrl+?")
+        self._messages = self._dialog(menu, "&Messages…", MessagesDialog, window.messages)
+        self._dialog(menu, "&Documentation…", PagesDialog, pages_folder(), keys="F1")
+        self._add(menu, "&First steps", window.hint.show)
+        keys = lambda: ShortcutsDialog(window, self.shortcuts).show()  # noqa: E731
+        self._add(menu, "&Keyboard shortcuts…", keys, "Ctrl+?")
         self._add(menu, "&About bubbleviz…", self._show_about)
 
     def _show_about(self) -> None:
@@ -212,7 +184,8 @@ class Menus(QObject):
         redo.setShortcut("Ctrl+Shift+Z")
         menu.addActions([undo, redo])
         menu.addSeparator()
-        self._add(menu, "&Settings…", self.show_settings, "Ctrl+,")
+        settings = self._window.state, self._window.undo_recorder
+        self._dialog(menu, "&Settings…", SettingsDialog, *settings, keys="Ctrl+,")
 
     def _playback(self, menu: QMenu) -> None:
         state = self._window.state
@@ -237,7 +210,7 @@ class Menus(QObject):
                 seek = partial(self._seek_start, kind, direction)
                 self._add(menu, title.format(which), seek, key + end)
         self._add(menu, "Largest force", self._seek_largest_force, "Ctrl+Home")
-        self._add(menu, "&Contacts…", self.show_contacts)
+        self._dialog(menu, "&Contacts…", ContactsDialog, state)
         self._add(menu, "Analyse all frames", self._window.controller.analysis.start)
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
@@ -371,6 +344,17 @@ class Menus(QObject):
         action.triggered.connect(lambda: do())
         menu.addAction(action)
         return action
+
+    def _dialog(
+        self,
+        menu: QMenu,
+        title: str,
+        make: Callable[..., QDialog],
+        *arguments: object,  # After the parent
+        keys: str | None = None,
+    ) -> QAction:
+        """Add an action that shows a new dialog."""
+        return self._add(menu, title, lambda: make(self._window, *arguments).show(), keys)
 
     def _switch(self, menu: QMenu, title: str, keys: str = "") -> QAction:
         """Add a checkable action."""

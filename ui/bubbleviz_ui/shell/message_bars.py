@@ -94,8 +94,6 @@ class _Bar(QFrame):
 class MessageBar(_Bar):
     """Warnings and errors until they are dismissed: errors first, then the newest."""
 
-    open_requested = Signal()  # Open the list of all messages
-
     def __init__(self, parent: QWidget) -> None:
         self._open: list[UserMessage] = []
         self.more = push_button("", "All messages of this session")
@@ -112,7 +110,6 @@ class MessageBar(_Bar):
         super().__init__(parent, self.more, self.copy, self.dismiss)
         self.kind.show()
         self.setAutoFillBackground(True)
-        self.more.clicked.connect(self.open_requested)
 
     def show_message(self, message: UserMessage) -> None:
         """Show a message; a repeated one replaces the earlier."""

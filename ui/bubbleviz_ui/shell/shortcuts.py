@@ -1,4 +1,4 @@
-"""Fuzzy search of menu actions, and keyboard shortcuts that the user can change."""
+"""Search of menu actions, and keyboard shortcuts that the user can change."""
 
 from __future__ import annotations
 
@@ -25,63 +25,35 @@ from PySide6.QtWidgets import (
 
 from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 
-# Fuzzy search: letters in order, scored by adjacency and word starts.
-
-
 STEP = " › "
 """Separator of menu names in the path of an action."""
-AT_WORD, NEXT_TO, GAP = 3.0, 2.0, 0.05  # scores of a letter
 
 
-def score(query: str, text: str) -> float | None:
-    """Match score of a text; None if it does not contain the letters in this order."""
-    wanted, there = query.lower().replace(" ", ""), text.lower()
-    best: list[float | None] = [None] * len(there)  # best score of matches ending at each letter
-    if not wanted:
-        return 0.0
-    for k, letter in enumerate(wanted):
-        now: list[float | None] = [None] * len(there)
-        before: float | None = 0.0 if k == 0 else None  # best score so far, minus gaps
-        for i, other in enumerate(there):
-            if other == letter:
-                candidates = [] if before is None else [before]
-                if k and i and (last := best[i - 1]) is not None:
-                    candidates.append(last + NEXT_TO)
-                if candidates:
-                    starts = i == 0 or not there[i - 1].isalnum()
-                    now[i] = max(candidates) + 1.0 + AT_WORD * starts
-            if k and (ended := best[i]) is not None:
-                before = ended if before is None else max(before - GAP, ended)
-            elif before is not None and k:
-                before -= GAP
-        best = now
-    found = [value for value in best if value is not None]
-    return max(found) - GAP * len(there) if found else None
+def spread(query: str, text: str) -> int | None:
+    """Length of the shortest part of a text with these letters in this order; None: has none."""
+    letters = ".*?".join(map(re.escape, query.lower().replace(" ", "")))
+    return min(
+        (len(part[1]) for part in re.finditer(f"(?=({letters}))", text.lower())), default=None
+    )
 
 
 def ranked(query: str, paths: list[str]) -> list[str]:
-    """Matching paths, best first; equal ones in the given order.
+    """Paths with these letters, best first; equal ones in the given order.
 
-    Matches in an item's own name rank before its path, and words before scattered letters.
+    Words and beginnings of words rank before scattered letters, an item's own name before its path.
     """
-    ranks = {path: rank for path in paths if (rank := _rank(query, path)) is not None}
-    return sorted(ranks, key=lambda path: ranks[path])
+    found = [path for path in paths if spread(query, path) is not None]
+    return sorted(found, key=lambda path: _rank(query.lower(), path))
 
 
-def _rank(query: str, path: str) -> tuple[int, float] | None:
-    """Sort key: kind of the match, negative score; None for no match."""
-    name = path.split(STEP)[-1]
-    of_name, of_path = score(query, name), score(query, path)
-    typed = query.lower().split()
-    if of_path is None:
-        return None
-    if of_name is not None and set(typed) <= set(_words(name)):
-        return 0, -of_name
-    if of_name is not None and _begin(typed, name):
-        return 1, -of_name
-    if _begin(typed, path):
-        return 2, -of_path
-    return (4, -of_path) if of_name is None else (3, -of_name)
+def _rank(query: str, path: str) -> tuple[int, int]:
+    name, typed = path.split(STEP)[-1], query.split()
+    in_name, in_path = spread(query, name), spread(query, path) or 0
+    if in_name is None:
+        return (2 if _begin(typed, path) else 4), in_path
+    if _begin(typed, name):
+        return (0 if set(typed) <= set(_words(name)) else 1), in_name
+    return (2, in_path) if _begin(typed, path) else (3, in_name)
 
 
 def _begin(typed: list[str], text: str) -> bool:
@@ -268,7 +240,7 @@ class ShortcutsDialog(QDialog):
     def _filter(self, text: str) -> None:
         for row, name in enumerate(self._shortcuts.actions):
             keys = self._shortcuts.keys(name)
-            hidden = score(text, name) is None and text.lower() not in keys.lower()
+            hidden = spread(text, name) is None and text.lower() not in keys.lower()
             self.table.setRowHidden(row, hidden)
         shown = [r for r in range(self.table.rowCount()) if not self.table.isRowHidden(r)]
         if shown:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import Qt, QUrl
@@ -19,7 +20,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.api.frames import info
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.worker import Failed, Worker
@@ -77,6 +77,7 @@ class InformationDialog(TextDialog):
 
     def __init__(self, parent: QWidget, controller: Controller, worker: Worker) -> None:
         super().__init__(parent, "Information", "All lines shown here")
+        self.setWindowModality(Qt.WindowModality.WindowModal)  # closed, it cancels what is read
         self.text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self.text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
         sensor, facts = controller.sensor, controller.state.facts
@@ -85,7 +86,7 @@ class InformationDialog(TextDialog):
         path = None if source is None else source.path
         if path is not None:
             self.text.setPlaceholderText("Reading the recording…")
-            worker.submit(lambda: info(path).to_text(), self._write, self._on_failed)
+            worker.submit(partial(_contents, path), self._write, self._on_failed)
             self.finished.connect(worker.cancel)
         elif facts is not None and facts.is_empty:
             self._write("Nothing is open.")
@@ -98,6 +99,12 @@ class InformationDialog(TextDialog):
 
     def _write(self, text: str) -> None:
         self.text.setPlainText(f"{self._sensor}\n{text}")
+
+
+def _contents(path: Path) -> str:
+    from bubbleviz.api.frames import info  # slow
+
+    return info(path).to_text()
 
 
 class _Page(QTextBrowser):
