@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -114,7 +115,7 @@ def open_panel(session: WindowSession, name: str, **settings: Any) -> None:
     beside = ALWAYS if PANELS[name].side == "right" else ("kappa", *ALWAYS)
     measured: list[object] = []
     comparing = session.controller.compared.connect(lambda *found: measured.append(found))
-    session.window.use_scene(scene.model_copy(update={"panels": (name, *beside)}))
+    session.window.use_scene(replace(scene, panels=frozenset({name, *beside})))
     session.window.panels[name].raise_()
     session.state.change(**{"images": Settings().images, "plots": Settings().plots, **settings})
     session.window.scene.reset_view()

@@ -171,8 +171,8 @@ class PanelWindow(QMainWindow):
     def use_scene(self, preset: ScenePreset) -> None:
         """Apply a scene preset: layers, panels, viewpoint."""
         with self.undo_recorder.one_step("scene"):
-            self.open_panels.show_only(frozenset(preset.panels))
-            self.state.change(**preset.settings())
+            self.open_panels.show_only(preset.panels)
+            self.state.change(**preset.settings)
         self.scene.reset_view()
 
     def save_screenshot(self, path: Path) -> None:

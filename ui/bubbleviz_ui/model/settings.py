@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal, TypeVar
 
+from pydantic import TypeAdapter
+
 from bubbleviz.inverse import ESTIMATORS, MAX_NODES, SOLVER_NAMES, EstimatorOptions
 from bubbleviz.membrane import MOST_FRICTION
 from bubbleviz_ui.model.registry import IMAGES, LAYERS, PLOTS, RESULT_PANELS
@@ -196,11 +198,13 @@ class Settings(_SettingsBase):
     layers: frozenset[str] = _setting(
         frozenset(name for name, layer in LAYERS.items() if layer.by_default),
         "layers",
+        groups="scene",
         titles={name: layer.title for name, layer in LAYERS.items()},
     )
     panels: frozenset[str] = _setting(
         frozenset(name for name, panel in RESULT_PANELS.items() if panel.by_default),
         "panels",
+        groups="scene",
         titles={name: panel.title for name, panel in RESULT_PANELS.items()},
     )
     # plots, images: Shown in the panels of these names
@@ -220,6 +224,7 @@ class Settings(_SettingsBase):
         "residual",
         "Colour points by",
         "Residual: measured minus modelled range; patch: whether in contact",
+        groups="scene",
         titles={"residual": "residual", "patch": "patch", "plain": "one colour"},
     )
     # Most points drawn: beyond that, every n-th measured point; None: all. At 10,000 each point
@@ -229,6 +234,7 @@ class Settings(_SettingsBase):
         "Points shown",
         "Largest number of points drawn; the solver uses all. Without a GPU, playback draws a "
         "quarter",
+        groups="scene",
         titles={
             **{n: f"up to {n:,}".replace(",", " ") for n in (5_000, 10_000, 20_000, 50_000)},
             None: "all",
@@ -239,11 +245,13 @@ class Settings(_SettingsBase):
         1.0,
         "Opacity",
         "Opacity of the membrane, 10 … 100 %",
-        low=0.1, high=1.0, step=0.01, slider=True,
+        groups="scene", low=0.1, high=1.0, step=0.01, slider=True,
     )  # fmt: skip
     # Direction in B from the middle of the membrane to the initial viewpoint
-    view_from: tuple[float, float, float] = _setting((-0.6, -1.0, 1.1), "scene")
-    zoom: float = _setting(1.32, "scene")  # 1: bounding box of the membrane fills the view
+    view_from: tuple[float, float, float] = _setting((-0.6, -1.0, 1.1), "scene", groups="scene")
+    zoom: float = _setting(
+        1.32, "scene", groups="scene"
+    )  # 1: bounding box of the membrane fills the view
     colour_map: ColourMap = _setting(
         "inferno",
         "Colours",
@@ -376,6 +384,8 @@ class Settings(_SettingsBase):
         return frozenset(f.name for f in fields(Settings) if name in Settings.info(f.name).groups)
 
 
+SETTINGS = TypeAdapter(Settings)
+"""Checks settings read from a file, and writes them."""
 PatchRule = tuple[float | None, float]
 PATCH_SETTINGS = Settings.group("patch")
 """Settings that change the patch but not the contact pressure."""

@@ -11,14 +11,14 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote, unquote
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, portable_path, whole_file
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import SYNTHETIC
-from bubbleviz_ui.model.settings import USER_SETTINGS, ComparedSetting, Settings
+from bubbleviz_ui.model.settings import SETTINGS, USER_SETTINGS, ComparedSetting, Settings
 
 # File names in live sources.
 
@@ -63,7 +63,6 @@ MAX_RECENT = 10  # in the menu
 MAX_DISTANCE_M = 1e3  # of a viewpoint
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Point = tuple[Finite, Finite, Finite]
-_SETTINGS = TypeAdapter(Settings)
 
 
 class SavedCamera(BaseModel):
@@ -125,7 +124,7 @@ class UserFile(BaseModel):
 
 def plain_settings(settings: Settings) -> dict[str, Any]:
     """Settings as JSON values."""
-    fields: dict[str, Any] = _SETTINGS.dump_python(settings, mode="json")
+    fields: dict[str, Any] = SETTINGS.dump_python(settings, mode="json")
     return {k: sorted(v) if isinstance(getattr(settings, k), frozenset) else v
             for k, v in fields.items()}  # fmt: skip
 
@@ -136,7 +135,7 @@ def usable_settings(fields: dict[str, Any]) -> Settings:
     for name, value in fields.items():
         try:
             usable[name] = Settings.valid(
-                name, getattr(_SETTINGS.validate_python({name: value}), name)
+                name, getattr(SETTINGS.validate_python({name: value}), name)
             )
         except (ValidationError, AttributeError):
             continue
