@@ -9,11 +9,11 @@ from __future__ import annotations
 import ctypes
 import gc
 import signal
-import socket
 import sys
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from PySide6.QtCore import QCoreApplication, QObject, QTimer
 
@@ -118,51 +118,31 @@ class Interrupt:
 
     A custom event loop must check `received` itself; ending Qt's loop then would end the next one.
 
-    Python runs a signal handler at any point of the main thread. An exception during the import of
-    Qt or VTK, or closing the window while VTK draws, would crash. So the handler, installed before
-    these imports, only sets a flag; Python also writes a byte to a socket, which wakes the event
-    loop. Ignored signals (`nohup`) stay ignored. Does nothing outside the main thread, where Python
-    handles no signals.
+    Python runs a signal handler at any point of the main thread, in Qt's event loop at the next
+    tick of `GarbageCollector`. An exception during the import of Qt or VTK, or closing the window
+    while VTK draws, would crash; so the handler, installed before these imports, only asks the loop
+    to end. Ignored signals (`nohup`) stay ignored. Does nothing outside the main thread, where
+    Python handles no signals.
     """
 
     def __init__(self) -> None:
         self.received = False
-        self._former: dict[signal.Signals, object] = {}
-        handled = [k for k in _SIGNALS if signal.getsignal(k) is not signal.SIG_IGN]
-        if not handled or threading.current_thread() is not threading.main_thread():
-            return
-        self._read, self._write = socket.socketpair()
-        self._read.setblocking(False)
-        self._write.setblocking(False)
-        self._former_fd = signal.set_wakeup_fd(self._write.fileno(), warn_on_full_buffer=False)
-        self._former = {number: signal.signal(number, self._remember) for number in handled}
+        self._former: dict[signal.Signals, Any] = {}
+        self._application: QCoreApplication | None = None
+        if threading.current_thread() is threading.main_thread():
+            handled = [k for k in _SIGNALS if signal.getsignal(k) is not signal.SIG_IGN]
+            self._former = {number: signal.signal(number, self._receive) for number in handled}
 
     def end(self, application: QCoreApplication) -> None:
         """End this application's event loop on the next signal."""
-        from PySide6.QtCore import QSocketNotifier  # handlers are installed before the import of Qt
-
-        if not self._former:
-            return
         self._application = application
-        self._notifier = QSocketNotifier(self._read.fileno(), QSocketNotifier.Type.Read)
-        self._notifier.activated.connect(self._wake)
 
     def close(self) -> None:
         """Restore the previous signal handlers."""
-        if not self._former:
-            return
-        for number, handler in self._former.items():
-            signal.signal(number, handler)  # type: ignore[arg-type]
-        self._former = {}
-        signal.set_wakeup_fd(self._former_fd)
-        self._notifier.setEnabled(False)
-        self._read.close()
-        self._write.close()
+        while self._former:
+            signal.signal(*self._former.popitem())
 
-    def _remember(self, *_: object) -> None:
-        self.received = True
-
-    def _wake(self) -> None:
-        self._read.recv(64)  # Python runs the handler before this line
-        if self.received and self._application.thread().loopLevel() > 0:
-            self._application.exit(EXIT_CODE)
+    def _receive(self, *_: object) -> None:
+        self.received, application = True, self._application
+        if application is not None and application.thread().loopLevel() > 0:
+            application.exit(EXIT_CODE)
