@@ -282,7 +282,7 @@ class SessionSaver(QObject):
         if self._opened is None:
             return None
         sensor = self._opened.sensor
-        if file is None or not self._is_unsaved(sensor):
+        if file is None or not self._is_unsaved(sensor) or is_copy_next_to(sensor, file):
             return name_of(sensor)
         if self._copied is None or self._copied[0] is not sensor or self._copied[1] != file:
             self._copied = sensor, file, copy_next_to(sensor, file)

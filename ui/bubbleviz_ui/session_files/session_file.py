@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, portable_path, whole_file
 from bubbleviz.live import SessionPreset
-from bubbleviz.sensor import Sensor, sensor_to_toml
+from bubbleviz.sensor import Sensor, save_sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import SYNTHETIC
 from bubbleviz_ui.model.settings import SETTINGS, USER_SETTINGS, ComparedSetting, Settings
 
@@ -269,16 +269,14 @@ def copy_next_to(sensor: Sensor, file: Path) -> Path:
 
     Raises InputError: A file of the sensor is missing, or the copy cannot be written.
     """
-    content = _content(sensor)
-    digest = hashlib.sha256()
-    for name, data in content.items():
-        digest.update(name.encode() + b"\0" + data)
+    digest = hashlib.sha256(sensor_to_toml(sensor).encode())
+    for path in filter(Path.is_file, sensor.files):
+        digest.update(path.read_bytes())
     folder = file.absolute().parent / f"{file.stem}_sensor_{digest.hexdigest()[:8]}"
     if not folder.exists():
         with whole_file(folder) as temporary:
             temporary.mkdir()
-            for name, data in content.items():
-                (temporary / name).write_bytes(data)
+            save_sensor(sensor, temporary / FILE)
     return folder / FILE
 
 
@@ -296,29 +294,3 @@ def remove_other_copies(file: Path, kept: Path | None) -> None:
 
 def _folders(file: Path) -> list[Path]:
     return list(file.absolute().parent.glob(f"{file.stem}_sensor_????????"))
-
-
-def _content(sensor: Sensor) -> dict[str, bytes]:
-    """Contents by file name of a self-contained copy of a sensor."""
-    membrane, calibration, content = sensor.membrane, sensor.calibration, dict[str, bytes]()
-    if membrane.mesh_file is not None:
-        name = Path(membrane.mesh_file).name
-        content[name] = _read_sensor(sensor.resolve(membrane.mesh_file))
-        membrane = membrane.model_copy(update={"mesh_file": name})
-    if calibration is not None:
-        name = Path(calibration.pixels_file).name
-        content[name] = _read_sensor(sensor.resolve(calibration.pixels_file))
-        calibration = calibration.model_copy(update={"pixels_file": name})
-    alone = sensor.model_copy(update={"membrane": membrane, "calibration": calibration})
-    return {**content, FILE: sensor_to_toml(alone).encode()}
-
-
-def _read_sensor(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        reason = error.strerror or error
-        raise InputError(
-            f"{path}: cannot be read ({reason}); restore this file of the sensor in use, or open "
-            "another sensor"
-        ) from error
