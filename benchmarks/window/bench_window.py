@@ -53,5 +53,5 @@ def recorded_run(session: WindowSession, path: Path) -> LiveRun:
     if live.run is None:
         raise InputError("nothing is connected")
     live.recording.start(live.run.session.recorder, path)
-    session.wait_for(lambda: live.recording.state() is not None, "the recording")
+    session.wait_for(lambda: live.recording.status() is not None, "the recording")
     return live.run

@@ -105,9 +105,9 @@ class Bench(Driver):
         self.wait(lambda: self.status().messages > 5)
 
     def status(self):
-        state = self.live_controller.recording.state()
-        assert state is not None
-        return state.status
+        status = self.live_controller.recording.status()
+        assert status is not None
+        return status
 
     def stop(self):
         """Press it again and wait until the file is whole."""

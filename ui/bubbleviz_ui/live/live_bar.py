@@ -22,13 +22,13 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.live import Counters, LatencyMeter, LatencyReport
+from bubbleviz.live import Counters, LatencyMeter, LatencyReport, RecorderStatus
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.recording_control import RecordingState, new_name
+from bubbleviz_ui.live.recording_control import new_name
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.source_facts import Badge, untrusted_text
 from bubbleviz_ui.model.units import Units
@@ -79,7 +79,8 @@ class RecordControls(QWidget):
 
     def update_status(self) -> None:
         """Show the progress of the recording."""
-        state, busy = self._live.recording.state(), self._live.recording.busy
+        recording = self._live.recording
+        status, busy = recording.status(), recording.busy
         self._show_folder()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
@@ -88,7 +89,7 @@ class RecordControls(QWidget):
         tip = "End the recording" if busy else "Record the live source to a new file"
         self.button.setToolTip(f"{tip} (Ctrl+R)")
         self._stack.setCurrentWidget(self._during if busy else self._before)
-        text = "" if state is None else progress(state)
+        text = "" if status is None else progress(status, recording.elapsed_s)
         self.progress.setText(text)
         self.progress.setToolTip(text)
         if not busy:
@@ -122,10 +123,9 @@ class RecordControls(QWidget):
         self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")
 
 
-def progress(state: RecordingState) -> str:
+def progress(status: RecorderStatus, elapsed_s: float) -> str:
     """Elapsed time, size, number of messages and data not written yet."""
-    minutes, seconds = divmod(int(state.elapsed_s), 60)
-    status = state.status
+    minutes, seconds = divmod(int(elapsed_s), 60)
     return (
         f"{minutes:02d}:{seconds:02d} · {status.size_bytes / 1e6:.1f} MB · "
         f"{count_of(status.messages, 'message')} · {status.waiting_bytes / 1e6:.1f} MB unwritten"
@@ -226,7 +226,13 @@ class LiveBar(QFrame):
         self._show_badge(badge, status.silence or self._rate_text(counters.frames))
         self.publish.setChecked(live.publishing.on)
         # faults first: a narrow bar elides the rest
-        texts = [*fault_texts(counters), self._zero_text(), *counter_texts(counters)]
+        texts = [
+            *fault_texts(counters),
+            self._zero_text(),
+            count_of(counters.received, "message"),
+            count_of(counters.frames, "image"),
+            f"{count_of(counters.skipped, 'image')} skipped",
+        ]
         counts = "  ·  ".join(texts)
         self.counts.setText(counts)
         self.counts.setToolTip(counts)
@@ -303,15 +309,6 @@ class LiveBar(QFrame):
         return f"gas zero {offset}" + (
             ", waiting for contact-free frames" if sensor.zero.waiting else ""
         )
-
-
-def counter_texts(counters: Counters) -> list[str]:
-    """Texts of what was received."""
-    return [
-        count_of(counters.received, "message"),
-        count_of(counters.frames, "image"),
-        f"{count_of(counters.skipped, 'image')} skipped",
-    ]
 
 
 def fault_texts(counters: Counters) -> list[str]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live import LiveSensor, SessionPreset, is_simulated
 from bubbleviz.recordings import gas_warning
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import Source
@@ -269,12 +267,8 @@ def _sensors_of(run: LiveRun) -> list[PairedSensor]:
             each.place.name,
             each.place.colour,
             Source.of_stream(frames),
-            partial(_same, each.sensor),
+            lambda sensor=each.sensor: sensor,  # type: ignore[misc]
             each.place.T_W_B,
         )
         for each, frames in zip(run.session.sensors, run.frames, strict=True)
     ]
-
-
-def _same(sensor: Sensor) -> Sensor:
-    return sensor

@@ -70,13 +70,13 @@ class Publishing(QObject):
         for sender in self._senders:
             sender.diagnose()
 
-    def put(self, message: Message) -> None:
+    def _put(self, message: Message) -> None:
         """Publish a message, in any thread."""
         with self._lock:
             if self._publisher is not None:
                 self._publisher.put(message)
 
-    def is_subscribed(self, topic: str, kind: str) -> bool:
+    def _is_subscribed(self, topic: str, kind: str) -> bool:
         """Whether a topic has a subscriber; in any thread."""
         with self._lock:
             return self._publisher is not None and self._publisher.is_subscribed(topic, kind)
@@ -96,28 +96,21 @@ class Publishing(QObject):
             return
         with self._lock:
             self._publisher = publisher
-        several = len(run.frames) > 1
+        recorder, several = run.session.recorder, len(run.frames) > 1
+
+        def send(message: Message) -> None:
+            self._put(message)
+            if recorder.recording or are_static_poses(message.topic, message.type):
+                recorder.push(message._replace(arrival_ns=time.time_ns()))
+
+        def is_wanted(topic: str, kind: str) -> bool:
+            return self._is_subscribed(topic, kind) or recorder.recording
+
         for frames, each in zip(run.frames, run.session.sensors, strict=True):
-            send = _Sender(self, run)
             name = each.place.name if several else ""
-            sender = ResultSender(frames.stream, send, send.is_wanted, name)
+            sender = ResultSender(frames.stream, send, is_wanted, name)
             self._senders.append(sender)
             self._unsubscribe.append(frames.listen(sender))
-
-
-class _Sender:
-    """Sends messages to the publisher, and to the recording if any."""
-
-    def __init__(self, publishing: Publishing, run: LiveRun) -> None:
-        self._publishing, self._recorder = publishing, run.session.recorder
-
-    def __call__(self, message: Message) -> None:
-        self._publishing.put(message)
-        if self._recorder.recording or are_static_poses(message.topic, message.type):
-            self._recorder.push(message._replace(arrival_ns=time.time_ns()))
-
-    def is_wanted(self, topic: str, kind: str) -> bool:
-        return self._publishing.is_subscribed(topic, kind) or self._recorder.recording
 
 
 def _publisher(endpoint: str) -> ZenohPublisher:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Signal
@@ -17,14 +16,6 @@ from bubbleviz_ui.shell.file_dialogs import remember
 
 DEFAULT_FOLDER = Path.home() / "bubbleviz-recordings"
 """Default folder of recordings."""
-
-
-@dataclass(frozen=True)
-class RecordingState:
-    """State of a recording."""
-
-    elapsed_s: float
-    status: RecorderStatus
 
 
 class Recording(QObject):
@@ -56,7 +47,8 @@ class Recording(QObject):
         """Stop recording; everything received so far is written."""
         recorder, self._recorder, self.busy = self._recorder, None, False
         if recorder is not None:
-            self._worker.submit(lambda: _stopped(recorder), self._on_stopped, self._on_broken)
+            stop = lambda: recorder.stop() if recorder.recording else None  # noqa: E731
+            self._worker.submit(stop, self._on_stopped, self._on_broken)
             self.changed.emit()
 
     def mark(self, text: str, at_ns: int | None = None) -> None:
@@ -65,15 +57,18 @@ class Recording(QObject):
         if recorder is not None:
             self._worker.submit(lambda: recorder.mark(text, when))
 
-    def state(self) -> RecordingState | None:
-        """State of the recording, or None. Stops it after a disk error."""
+    @property
+    def elapsed_s(self) -> float:
+        """Time since the recording began."""
+        return time.monotonic() - self._began
+
+    def status(self) -> RecorderStatus | None:
+        """Progress of the recording, or None. Stops it after a disk error."""
         status = None if self._recorder is None else self._recorder.status()
-        if status is None:
-            return None
-        if status.problem:
+        if status is not None and status.problem:
             self.stop()
             return None
-        return RecordingState(time.monotonic() - self._began, status)
+        return status
 
     def _on_refused(self, failed: Failed) -> None:
         self.busy, self._recorder = False, None
@@ -117,7 +112,3 @@ def make_folder(path: Path) -> None:
 def _start(recorder: Recorder, path: Path) -> None:
     make_folder(path)
     recorder.start(path)
-
-
-def _stopped(recorder: Recorder) -> RecorderStatus | None:
-    return recorder.stop() if recorder.recording else None
