@@ -16,10 +16,9 @@ from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import SYNTHETIC, Source
-from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import USER_SETTINGS
-from bubbleviz_ui.model.source_facts import SourceFacts, name_of
+from bubbleviz_ui.model.source_facts import name_of
 from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.session_files.session_file import (
     MAX_RECENT,
@@ -68,7 +67,6 @@ class SessionSaver(QObject):
         self.recent: tuple[str, ...] = ()  # Recent files, newest first
         self.hinted = False  # The first-run hint was read
         self._opened: Opened | None = None
-        self._restoring: SavedSession | None = None
         self._absent: SavedSession | None = None  # its source is missing; another one is open
         self._connect_later: SessionPreset | None = None
         self._problems: list[str] = []
@@ -79,7 +77,6 @@ class SessionSaver(QObject):
         self._timer = QTimer(self, interval=EVERY_MS)
         self._timer.timeout.connect(lambda: self._autosave())
         window.controller.opened.connect(self._on_opened)
-        window.controller.failed.connect(self._on_failed)
         window.hint.understood.clicked.connect(self._on_hint_read)
         window.state.source_changed.connect(self._on_source)
 
@@ -235,7 +232,6 @@ class SessionSaver(QObject):
             if first is not None:
                 first()
             self._problems += lacks
-            self._restoring = saved
 
         source: Source | None = None
         if saved.source == SYNTHETIC.name:
@@ -255,13 +251,28 @@ class SessionSaver(QObject):
             frame=saved.frame,
             playing=source.live,
             before=begin,
+            then=partial(self.finish, saved),
         )
 
-    def restore_after_open(self, saved: SavedSession, path: Path, depth_topic: str | None) -> None:
-        """Restore range, markers and view after opening, if this is the session's recording."""
-        same = saved.source is not None and Path(saved.source) == path.absolute()
-        if same and saved.depth_topic == depth_topic:
-            self._restoring = saved
+    def finish(self, saved: SavedSession, problem: str = "") -> None:
+        """Restore range, markers and viewpoint, as the source of a session is open.
+
+        `problem`: Why it is not; at the start the session is kept for the next one.
+        """
+        if problem:
+            if self._opened is None:
+                self._problems, self._absent = [problem], saved
+            return
+        with self._window.undo_recorder.unrecorded():
+            state = self._window.state
+            state.set_range(saved.play_range)
+            frames = 0 if state.facts is None else state.facts.frames
+            state.set_markers(tuple(k for k in saved.markers if k < frames))
+        if saved.camera is not None:
+            camera = self._window.view.camera
+            for name in ("position", "focal_point", "up", "view_angle"):
+                setattr(camera, name, getattr(saved.camera, name))
+            self._window.view.refresh()
 
     def _autosave(self) -> None:
         try:
@@ -305,12 +316,6 @@ class SessionSaver(QObject):
     def _is_live(self) -> bool:
         return self._source is not None and self._source.stream is not None
 
-    def _is_open(self, saved: SavedSession) -> bool:
-        source = self._source
-        if source is None:
-            return False
-        return saved.live is not None if self._is_live else saved.source == source.name
-
     def _restore_without_source(self, saved: SavedSession) -> None:
         """Restore a session whose source is missing: connect its live sensors, or keep it."""
         if self._opened is None:
@@ -342,36 +347,12 @@ class SessionSaver(QObject):
             self._window.live_controller.cancel()
         self._absent = None
 
-    def _on_failed(self, failed: Failed) -> None:
-        if failed.key == "open" and self._restoring is not None:
-            if self._opened is None:
-                self._problems = [failed.message]
-                self._absent = self._restoring
-            self._restoring = None
-
-    def _on_source(self, facts: SourceFacts) -> None:
-        """Restore the state that belongs to the source, once it is open."""
+    def _on_source(self) -> None:
+        """A source is open: connect to the live one of the session that is missing."""
         self._report_problems()
-        pending, live = self._restoring, self._connect_later
-        self._connect_later = None
+        live, self._connect_later = self._connect_later, None
         if live is not None:
             self._window.live_controller.connect_to(live)
-            return
-        self._restoring = None
-        if pending is not None and self._is_open(pending):
-            self._restore_source_state(pending, facts.frames)
-
-    def _restore_source_state(self, saved: SavedSession, frames: int) -> None:
-        """Restore range, markers and viewpoint."""
-        with self._window.undo_recorder.unrecorded():
-            state = self._window.state
-            state.set_range(saved.play_range)
-            state.set_markers(tuple(k for k in saved.markers if k < frames))
-        if saved.camera is not None:
-            camera = self._window.view.camera
-            for name in ("position", "focal_point", "up", "view_angle"):
-                setattr(camera, name, getattr(saved.camera, name))
-            self._window.view.refresh()
 
     def _on_hint_read(self) -> None:
         self.hinted = True

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -78,6 +79,7 @@ class WindowSession:
         # at the same time can deadlock
         self.window = MainWindow(state, self.controller, quality)
         self._answers: list[Opened | Failed] = []
+        self._then: Callable[[str], None] | None = None  # When the recording is open
         self._shown = False  # Before its source is open
 
     def start(
@@ -127,6 +129,7 @@ class WindowSession:
             what=what,
             frame=startup.frame or 0,
             playing=startup.frame is None,
+            then=self._then,
         )
         self.wait_for(lambda: bool(self._answers), "opening")
         answer = self._answers[0]
@@ -168,9 +171,10 @@ class WindowSession:
         session_saver.apply_settings(saved)
         with self.window.undo_recorder.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
-        if startup.recording is not None:
-            opened = startup.recording, startup.depth_topic
-            session_saver.restore_after_open(saved, *opened)
+        recording = startup.recording
+        same = recording is not None and saved.source == str(recording.absolute())
+        if same and saved.depth_topic == startup.depth_topic:
+            self._then = partial(session_saver.finish, saved)
         if any(each is not None for each in (startup.recording, startup.live, startup.saved)):
             return False
         return self._source_opened(session_saver.open_source(saved))

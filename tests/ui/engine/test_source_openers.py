@@ -21,6 +21,7 @@ from bubbleviz.sensor import load_sensor, save_sensor, sensor_to_toml
 from bubbleviz.simulation import DepthNoise, SyntheticSource
 from bubbleviz_ui import panel_window
 from bubbleviz_ui.engine.source import SYNTHETIC, Source
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.window_session import Startup, window_session
 
 FRAMES = 3
@@ -199,7 +200,7 @@ def test_the_solver_thread_hands_a_sensor_of_another_camera_back(
     opening.open_recording(recording)  # before the answer
     with pytest.raises(UnknownCameraError):
         requests[-1].open_sensor()
-    opening.finish(requests[0], error)
+    opening.finish(requests[0], Failed("open", str(error), error=error))
     opening.open_recording(recording)
     assert requests[-1].open_sensor().name == "own dome"
     opening.cancel()

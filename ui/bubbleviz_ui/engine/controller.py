@@ -300,7 +300,7 @@ class Controller(QObject):
             signal.connect(slot) if on else signal.disconnect(slot)
 
     def _on_failed(self, failed: Failed) -> None:
-        self.opening.finish(failed.request, failed.error)
+        self.opening.finish(failed.request, failed)
         if failed.key == "analyse":
             self.analysis.stop()
         self.failed.emit(failed)
@@ -322,8 +322,8 @@ class Controller(QObject):
             self.client.request_patch()
 
     def _on_opened(self, opened: Opened) -> None:
-        self.opening.finish(opened.request)
         self._present(playing=opened.request.playing)
+        self.opening.finish(opened.request)
         settings, requested = self.state.settings, opened.request.demand
         if not requested.covers(Demand.of(settings)):
             self._request_frame()

@@ -21,6 +21,7 @@ from bubbleviz_ui.model.session_state import SessionState
 if TYPE_CHECKING:
     from bubbleviz.inverse import EstimatorOptions
     from bubbleviz.sensor import Sensor
+    from bubbleviz_ui.engine.worker import Failed
 
     OpenSensor = Callable[[], Sensor]
 
@@ -48,6 +49,7 @@ class Opening(QObject):
         self.current: Opened | None = None
         self._other_camera: Sensor | None = None  # the last one given that did not fit the source
         self._waiting: OpenRequest | None = None
+        self._then: Callable[[str], None] | None = None
 
     @property
     def sensor(self) -> Sensor | None:
@@ -75,10 +77,12 @@ class Opening(QObject):
         frame: int = 0,
         playing: bool = True,
         before: Callable[[], None] | None = None,
+        then: Callable[[str], None] | None = None,
     ) -> bool:
         """Open a source with a sensor in the solver thread; False if a receiver cancelled it.
 
-        `before` is called unless it was cancelled; it may change settings.
+        `before` is called unless it was cancelled; it may change settings. `then` is called once it
+        is open (empty text), or has failed (the reason).
         """
         request = OpenRequest(
             source=source,
@@ -96,7 +100,7 @@ class Opening(QObject):
         settings = self._state.settings
         demand, options = Demand.of(settings), settings.options
         request = replace(request, demand=demand, options=options)
-        self._waiting = request
+        self._waiting, self._then = request, then
         self._ask(request)
         self.changed.emit(
             "Closing …" if source is NO_SOURCE else f"Opening {what or source.title} …"
@@ -186,15 +190,18 @@ class Opening(QObject):
         if sensor is not None:
             self.open(NO_SOURCE, lambda: sensor, playing=False)
 
-    def finish(self, request: object, error: Exception | None = None) -> None:
-        """A request has succeeded, or failed with an error."""
-        if isinstance(error, OtherCameraError):
-            self._other_camera = error.sensor
+    def finish(self, request: object, failed: Failed | None = None) -> None:
+        """A request has succeeded, or failed."""
+        if failed is not None and isinstance(failed.error, OtherCameraError):
+            self._other_camera = failed.error.sensor
         if self._waiting is not None and request is self._waiting:
+            then = self._then
             self._end()
+            if then is not None:
+                then("" if failed is None else failed.message)
 
     def _end(self) -> None:
-        self._waiting = None
+        self._waiting = self._then = None
         self.changed.emit("")
 
 
