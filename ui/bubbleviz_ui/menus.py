@@ -121,7 +121,7 @@ class Menus(QObject):
         self._add(menu, "Open &sensor…", files.choose_sensor, "Ctrl+E")
         self._add(menu, "Open ground &truth…", files.choose_truth)
         self._recent(menu.addMenu("Open &recent"))
-        menu.addMenu(DepthTopicMenu(self._window, menu))
+        self._depth_topics(menu.addMenu("Depth to&pic"))
         self._add(menu, "Re&load", self._window.controller.opening.reload, "F5")
         about = self._window.controller, self._window.reading
         self._dialog(menu, "Infor&mation…", InformationDialog, *about, keys="Alt+Return")
@@ -147,6 +147,29 @@ class Menus(QObject):
 
         self._saver.recent_changed.connect(fill)
         fill()
+
+    def _depth_topics(self, menu: QMenu) -> None:
+        """Topics of a recording of several depth cameras, to open it by another one."""
+        menu.setProperty(DYNAMIC, True)
+        opening = self._window.controller.opening
+
+        def fill(facts: SourceFacts) -> None:
+            menu.clear()
+            for topic in facts.depth_topics:
+                action = menu.addAction(topic)
+                action.setCheckable(True)
+                action.setChecked(topic == facts.depth_topic)
+            menu.setEnabled(len(facts.depth_topics) > 1)
+
+        def choose(action: QAction) -> None:
+            source = opening.source
+            if source is not None and source.path is not None:
+                # without the ground truth, which is that of one sensor
+                opening.open_recording(source.path, depth_topic=action.text())
+
+        menu.triggered.connect(choose)
+        self._window.state.source_changed.connect(fill)
+        menu.setEnabled(False)
 
     def _help(self, menu: QMenu) -> None:
         window = self._window
@@ -415,32 +438,6 @@ class Menus(QObject):
         )
         if chosen:
             state.change(publish_at=endpoint.strip() or LOOPBACK)
-
-
-class DepthTopicMenu(QMenu):
-    """Topics of a recording of several depth cameras, to open it by another one."""
-
-    def __init__(self, window: PanelWindow, parent: QMenu) -> None:
-        super().__init__("Depth to&pic", parent)
-        self.setProperty(DYNAMIC, True)
-        self._opening = window.controller.opening
-        window.state.source_changed.connect(self._fill)
-        self.triggered.connect(self._choose)
-        self.setEnabled(False)
-
-    def _fill(self, facts: SourceFacts) -> None:
-        self.clear()
-        for topic in facts.depth_topics:
-            action = self.addAction(topic)
-            action.setCheckable(True)
-            action.setChecked(topic == facts.depth_topic)
-        self.setEnabled(len(facts.depth_topics) > 1)
-
-    def _choose(self, action: QAction) -> None:
-        source = self._opening.source
-        if source is not None and source.path is not None:
-            # without the ground truth, which is that of one sensor
-            self._opening.open_recording(source.path, depth_topic=action.text())
 
 
 class CheckMark(QObject):

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
-from PySide6.QtCore import QObject, Qt, QTimer, Signal
+from PySide6.QtCore import Qt, QTimer
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
@@ -44,58 +44,9 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
 
-# Discovery of the topics of a source.
-
-
 UPDATE_MS = 250
 NO_TOPIC = "\0"
 """Prefix of no topic, so that none is subscribed to during discovery."""
-
-
-class Discovery(QObject):
-    """Searches the topics of one source at a time."""
-
-    found = Signal(object, str)  # Tuple of `OfferedTopic`, and an error message or empty
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._source: LiveSource | None = None
-        self._worker = Worker("discovery")
-        self._timer = QTimer(self, interval=UPDATE_MS)
-        self._timer.timeout.connect(self._look)
-
-    def search(self, text: str, sensor: Sensor) -> None:
-        """Search the topics of a source, given as for `--source`."""
-        self.stop()
-        function = partial(_begin, text, sensor)
-        self._worker.submit(function, self._take, self._on_failure, discard=LiveSource.stop)
-
-    def stop(self) -> None:
-        """Stop searching."""
-        self._worker.cancel()
-        self._timer.stop()
-        source, self._source = self._source, None
-        if source is not None:
-            self._worker.submit(source.stop)
-
-    def close(self) -> None:
-        """Stop without waiting for the thread."""
-        self.stop()
-        self._worker.close(0.0)
-
-    def _take(self, source: LiveSource) -> None:
-        self._source = source
-        self._timer.start()
-        self._look()
-
-    def _on_failure(self, failed: Failed) -> None:
-        self.found.emit((), failed.message)
-
-    def _look(self) -> None:
-        if self._source is not None:
-            problem = self._source.problem
-            message = f"{problem} ({self._source.name})" if problem else ""
-            self.found.emit(self._source.topics, message)
 
 
 def _begin(text: str, sensor: Sensor) -> LiveSource:
@@ -132,14 +83,19 @@ SIZE = (620, 460)  # px
 
 
 class ConnectDialog(QDialog):
-    """Kind, address, topic and sensor; shows the equivalent argument of `--source`."""
+    """Kind, address, topic and sensor; shows the equivalent argument of `--source`.
+
+    It searches the topics of one source at a time.
+    """
 
     def __init__(self, parent: QWidget, live: LiveController, sensor_name: str | None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Connect to a live source")
         resize_on_screen(self, *SIZE)
         self._live = live
-        self._discovery = Discovery()
+        self._found: LiveSource | None = None  # Whose topics are listed
+        self._worker = Worker("discovery")
+        self._timer = QTimer(self, interval=UPDATE_MS)
         self.kind = QComboBox()
         for kind, title in KINDS.items():
             self.kind.addItem(title, kind)
@@ -199,8 +155,8 @@ class ConnectDialog(QDialog):
 
     def done(self, result: int) -> None:
         """Stop the search."""
-        self._typing_timer.stop()
-        self._discovery.close()
+        self._stop()
+        self._worker.close(0.0)
         super().done(result)
 
     # -- inside -------------------------------------------------------------------------------
@@ -234,7 +190,7 @@ class ConnectDialog(QDialog):
         self._typing_timer.timeout.connect(self._look)
         self.sensor.currentIndexChanged.connect(lambda _: self._look())
         self.topics.currentItemChanged.connect(lambda *_: self._show_source())
-        self._discovery.found.connect(self._on_found)
+        self._timer.timeout.connect(self._show_found)
         self.buttons.accepted.connect(self.accept)
         self.buttons.rejected.connect(self.reject)
 
@@ -256,13 +212,12 @@ class ConnectDialog(QDialog):
 
     def _look(self) -> None:
         """Search the topics at the address."""
-        self._typing_timer.stop()
+        self._stop()
         self._list(())
         self.problem.setText("")
         kind = self.kind.currentData()
         place = self.place.currentText().strip()
         if kind == PAIR or (kind == REPLAY and not place):
-            self._discovery.stop()
             return
         try:
             name = self.sensor.currentData()
@@ -272,9 +227,32 @@ class ConnectDialog(QDialog):
             return
         if kind == ZENOH:
             self.problem.setText("Looking for topics…")
-        self._discovery.search(f"{kind}:{place}", sensor)
+        function = partial(_begin, f"{kind}:{place}", sensor)
+        self._worker.submit(function, self._take, self._on_failure, discard=LiveSource.stop)
 
-    def _on_found(self, topics: tuple[OfferedTopic, ...], problem: str) -> None:
+    def _stop(self) -> None:
+        """Stop searching."""
+        self._typing_timer.stop()
+        self._worker.cancel()
+        self._timer.stop()
+        source, self._found = self._found, None
+        if source is not None:
+            self._worker.submit(source.stop)
+
+    def _take(self, source: LiveSource) -> None:
+        self._found = source
+        self._timer.start()
+        self._show_found()
+
+    def _on_failure(self, failed: Failed) -> None:
+        self._show_topics((), failed.message)
+
+    def _show_found(self) -> None:
+        if (source := self._found) is not None:
+            problem = f"{source.problem} ({source.name})" if source.problem else ""
+            self._show_topics(source.topics, problem)
+
+    def _show_topics(self, topics: tuple[OfferedTopic, ...], problem: str) -> None:
         looking = self.kind.currentData() == ZENOH and not topics
         self.problem.setText(problem or ("No topics yet; looking…" if looking else ""))
         self._list(tuple(t for t in topics if t.type in DEPTH_TYPES and is_used(*t)))
