@@ -43,7 +43,7 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
     assert begun == [str(own), chosen]
     # complete, with markers and notes
     controls = live.window.live.record
-    controls.pre_roll.setValue(3.0)
+    live.state.change(pre_roll_s=3.0)
     live.wait_for_frames(5)
     pressed_ns = time.time_ns()
     live.record()

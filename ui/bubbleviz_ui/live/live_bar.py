@@ -16,7 +16,6 @@ from PySide6.QtWidgets import (
     QLabel,
     QLineEdit,
     QSizePolicy,
-    QStackedWidget,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -33,7 +32,6 @@ from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.source_facts import Badge, untrusted_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.binding import control
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, tool_button
 from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.view3d.render_view import View
@@ -42,7 +40,7 @@ from bubbleviz_ui.view3d.render_view import View
 
 
 class RecordControls(QWidget):
-    """Pre-roll, folder; while recording, elapsed time, size, messages and a note.
+    """While recording: elapsed time, size, messages and a note; its place is kept before.
 
     Its `button` is placed by itself, as both do not fit into one row of a narrow bar.
     """
@@ -51,9 +49,6 @@ class RecordControls(QWidget):
         super().__init__()
         self._live = live
         self.button = tool_button("● Record", "", live.toggle_recording, checkable=True)
-        self.pre_roll = control(live.state, "pre_roll_s")
-        self.pre_roll.setPrefix(f"{self.pre_roll.accessibleName()} ")
-        self.folder = tool_button("Folder…", "", self.choose_folder)
         self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
         self.note = QLineEdit()
         self.note.setPlaceholderText("Note, stamped with the time you began it")
@@ -61,34 +56,25 @@ class RecordControls(QWidget):
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
         self._noted_ns: int | None = None
-        # Both have the size of the larger one: the bar does not jump when recording begins.
-        self._before, self._during = QWidget(), QWidget()
-        self._stack = QStackedWidget()
-        none = (0, 0, 0, 0)
-        fill(QHBoxLayout(self._before), 1, self.pre_roll, self.folder, margins=none)
-        fill(QHBoxLayout(self._during), (self.progress, 1), self.note, margins=none)
-        self._stack.addWidget(self._before)
-        self._stack.addWidget(self._during)
-        self._stack.setMinimumHeight(self.note.sizeHint().height())  # that appears later
+        fill(QHBoxLayout(self), (self.progress, 1), self.note, margins=(0, 0, 0, 0))
+        # The bar does not jump when a recording or a note begins
         self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        fill(QHBoxLayout(self), self._stack, margins=none)
-        self.folder.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        kept = self.note.sizePolicy()
+        kept.setRetainSizeWhenHidden(True)
+        self.note.setSizePolicy(kept)
         self.note.returnPressed.connect(self._save_note)
         self.note.editingFinished.connect(self.note.hide)
-        self._show_folder()
 
     def update_status(self) -> None:
         """Show the progress of the recording."""
         recording = self._live.recording
         status, busy = recording.status(), recording.busy
-        self._show_folder()
         self.button.setChecked(busy)
         self.button.setText("■ Stop" if busy else "● Record")
         # at least as wide as it was before: other controls do not move
         self.button.setMinimumWidth(max(self.button.minimumWidth(), self.button.sizeHint().width()))
-        tip = "End the recording" if busy else "Record the live source to a new file"
-        self.button.setToolTip(f"{tip} (Ctrl+R)")
-        self._stack.setCurrentWidget(self._during if busy else self._before)
+        begin = f"Record the live source to a new file in {recording.folder}"
+        self.button.setToolTip(f"{'End the recording' if busy else begin} (Ctrl+R)")
         text = "" if status is None else progress(status, recording.elapsed_s)
         self.progress.setText(text)
         self.progress.setToolTip(text)
@@ -111,16 +97,12 @@ class RecordControls(QWidget):
         if name:
             self._live.set_folder(name)
             remember("recording", new_name(Path(name)))
-            self._show_folder()
 
     def _save_note(self) -> None:
         text = self.note.text().strip()
         if text:
             self._live.recording.mark(text, self._noted_ns)
         self.note.clearFocus()
-
-    def _show_folder(self) -> None:
-        self.folder.setToolTip(f"Recordings go to {self._live.recording.folder}")
 
 
 def progress(status: RecorderStatus, elapsed_s: float) -> str:
