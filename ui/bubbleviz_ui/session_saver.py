@@ -16,6 +16,7 @@ from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import SYNTHETIC, Source
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import USER_SETTINGS
 from bubbleviz_ui.model.source_facts import name_of
@@ -254,14 +255,14 @@ class SessionSaver(QObject):
             then=partial(self.finish, saved),
         )
 
-    def finish(self, saved: SavedSession, problem: str = "") -> None:
+    def finish(self, saved: SavedSession, failed: Failed | None = None) -> None:
         """Restore range, markers and viewpoint, as the source of a session is open.
 
-        `problem`: Why it is not; at the start the session is kept for the next one.
+        If it failed to open at the start, the session is kept for the next one.
         """
-        if problem:
+        if failed is not None:
             if self._opened is None:
-                self._problems, self._absent = [problem], saved
+                self._problems, self._absent = [failed.message], saved
             return
         with self._window.undo_recorder.unrecorded():
             state = self._window.state

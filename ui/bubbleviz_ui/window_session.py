@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
     from PySide6.QtWidgets import QApplication
 
     from bubbleviz.live import SessionPreset
-    from bubbleviz_ui.engine.solver import Opened
     from bubbleviz_ui.engine.worker import Failed
     from bubbleviz_ui.model.messages import UserMessage
     from bubbleviz_ui.model.scene_presets import ScenePreset
@@ -68,6 +66,7 @@ class WindowSession:
         from bubbleviz_ui.engine.controller import Controller
         from bubbleviz_ui.main_window import MainWindow
         from bubbleviz_ui.model.session_state import SessionState
+        from bubbleviz_ui.session_files.session_file import SavedSession
         from bubbleviz_ui.view3d.render_view import detect_quality
 
         self.application = application()
@@ -78,8 +77,7 @@ class WindowSession:
         # before the solver thread: VTK and Open3D share modules, and importing them in two threads
         # at the same time can deadlock
         self.window = MainWindow(state, self.controller, quality)
-        self._answers: list[Opened | Failed] = []
-        self._then: Callable[[str], None] | None = None  # When the recording is open
+        self._last = SavedSession()  # Of the user
         self._shown = False  # Before its source is open
 
     def start(
@@ -87,8 +85,6 @@ class WindowSession:
     ) -> None:
         """Open the source given to `window_session`; `saved`: the session read from its file."""
         state, self._shows_at_once = self.state, at_once
-        self.controller.opened.connect(self._note)
-        self.controller.failed.connect(self._note)
         restored = keep_in is not None and self._restore(keep_in, startup)
         if saved is not None and startup.saved is not None:
             restored = self._source_opened(self.window.session_saver.restore(saved, startup.saved))
@@ -104,18 +100,11 @@ class WindowSession:
                 f"{startup.recording or 'synthetic press'}: has no frame {frame}; "
                 f"choose 0 to {state.facts.frames - 1}"
             )
-        self.controller.opened.disconnect(self._note)
-        self.controller.failed.disconnect(self._note)
-        self._answers.clear()  # each holds a camera's rays and a frame
-
-    def _note(self, answer: Opened | Failed) -> None:
-        self._answers.append(answer)
 
     def _open(self, startup: Startup) -> None:
         from bubbleviz_ui.engine.source import SYNTHETIC, Source
-        from bubbleviz_ui.engine.worker import Failed
 
-        self._answers.clear()
+        ended, opening = list["Failed | None"](), self.controller.opening
         source, what = SYNTHETIC, "synthetic press, whose first frames are being simulated"
         if startup.recording is not None:
             of_recording = startup.recording, startup.truth, startup.depth_topic
@@ -123,40 +112,38 @@ class WindowSession:
         else:
             self.window.scene.show_at_rest(startup.sensor)
             self._show_at_once()
-        self.controller.opening.open(
+        opening.open(
             source,
             lambda: startup.sensor,
             what=what,
             frame=startup.frame or 0,
             playing=startup.frame is None,
-            then=self._then,
+            then=ended.append,
         )
-        self.wait_for(lambda: bool(self._answers), "opening")
-        answer = self._answers[0]
-        if isinstance(answer, Failed):
-            if answer.details:
-                raise RuntimeError(answer.details)  # a bug, not the user's file
-            raise InputError(answer.message)
+        self.wait_for(lambda: not opening.busy, "opening")
+        for failed in filter(None, ended):
+            if failed.details:
+                raise RuntimeError(failed.details)  # a bug, not the user's file
+            raise InputError(failed.message)
+        last = self._last
+        if (source.name, source.depth_topic) == (last.source, last.depth_topic):
+            self.window.session_saver.finish(last)
 
     def _connect(self, live: SessionPreset) -> None:
         """Connect to live sensors; after `CONNECT_S` the window goes on waiting for them."""
-        from bubbleviz_ui.engine.worker import Failed
-
         live_controller, problems = self.window.live_controller, list[str]()
 
         def note(message: UserMessage) -> None:
             if message.kind == "error":  # a warning is no reason not to start
-                problems.append(message.text)
+                problems.append(message.text.rstrip("."))
 
         self.state.messages.added.connect(note)
         live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(
-            lambda: bool(problems or self._answers) or time.monotonic() > end, "connecting"
+            lambda: bool(problems or self.state.facts) or time.monotonic() > end, "connecting"
         )
         self.state.messages.added.disconnect(note)
-        failed = [answer.message for answer in self._answers if isinstance(answer, Failed)]
-        problems = failed + problems
         if problems:
             raise InputError(problems[0])
 
@@ -167,26 +154,20 @@ class WindowSession:
         message in the window.
         """
         session_saver = self.window.session_saver
-        saved = session_saver.keep_in(file)
+        self._last = saved = session_saver.keep_in(file)
         session_saver.apply_settings(saved)
         with self.window.undo_recorder.unrecorded():
             self.window.shortcuts.use(saved.shortcuts)
-        recording = startup.recording
-        same = recording is not None and saved.source == str(recording.absolute())
-        if same and saved.depth_topic == startup.depth_topic:
-            self._then = partial(session_saver.finish, saved)
         if any(each is not None for each in (startup.recording, startup.live, startup.saved)):
             return False
         return self._source_opened(session_saver.open_source(saved))
 
     def _source_opened(self, opening: bool) -> bool:
         """Wait for the source of a session if one was requested; whether it is open now."""
-        from bubbleviz_ui.engine.solver import Opened
-
         if opening:
             self._show_at_once()
-            self.wait_for(lambda: bool(self._answers), "opening")
-        return opening and isinstance(self._answers[0], Opened)
+            self.wait_for(lambda: not self.controller.opening.busy, "opening")
+        return opening and self.state.facts is not None
 
     def _show_at_once(self) -> None:
         """Show the window before its source is open, if that was requested."""

@@ -49,7 +49,7 @@ class Opening(QObject):
         self.current: Opened | None = None
         self._other_camera: Sensor | None = None  # the last one given that did not fit the source
         self._waiting: OpenRequest | None = None
-        self._then: Callable[[str], None] | None = None
+        self._then: Callable[[Failed | None], None] = lambda _: None
 
     @property
     def sensor(self) -> Sensor | None:
@@ -60,6 +60,11 @@ class Opening(QObject):
     def source(self) -> Source | None:
         """The open source; None before the first."""
         return None if self.current is None else self.current.request.source
+
+    @property
+    def busy(self) -> bool:
+        """Whether a source is being opened."""
+        return self._waiting is not None
 
     @property
     def options(self) -> EstimatorOptions | None:
@@ -77,12 +82,12 @@ class Opening(QObject):
         frame: int = 0,
         playing: bool = True,
         before: Callable[[], None] | None = None,
-        then: Callable[[str], None] | None = None,
+        then: Callable[[Failed | None], None] = lambda _: None,
     ) -> bool:
         """Open a source with a sensor in the solver thread; False if a receiver cancelled it.
 
         `before` is called unless it was cancelled; it may change settings. `then` is called once it
-        is open (empty text), or has failed (the reason).
+        is open, or has failed.
         """
         request = OpenRequest(
             source=source,
@@ -197,11 +202,10 @@ class Opening(QObject):
         if self._waiting is not None and request is self._waiting:
             then = self._then
             self._end()
-            if then is not None:
-                then("" if failed is None else failed.message)
+            then(failed)
 
     def _end(self) -> None:
-        self._waiting = self._then = None
+        self._waiting = None
         self.changed.emit("")
 
 
