@@ -35,7 +35,6 @@ from bubbleviz_ui.session_files.session_file import (
     read_session,
     read_user_file,
     remove_other_copies,
-    with_absolute_paths,
     with_paths,
     with_sensor,
 )
@@ -44,11 +43,6 @@ from bubbleviz_ui.view3d.render_view import View
 
 EVERY_MS = 3000
 """Period of autosaving."""
-SOURCE_FIELDS = (
-    *("source", "depth_topic", "truth", "live", "sensor"),
-    *("frame", "play_range", "markers", "camera"),
-)
-"""Fields of a session that are kept unchanged while its source is missing."""
 
 
 def user_file() -> Path:
@@ -127,31 +121,39 @@ class SessionSaver(QObject):
 
         Raises InputError: The sensor cannot be copied.
         """
-        window, state = self._window, self._window.state
-        sensor, source = self._sensor_name(file), self._source
-        moved = window.scene.moved_by_user
-        now = SavedSession(
-            source=None if source is None else source.name,
-            depth_topic=None if source is None else source.depth_topic,
-            truth=None if source is None or source.truth is None else str(source.truth.absolute()),
+        window, choices = self._window, plain_settings(self._window.state.settings)
+        saved = self._absent  # what is open instead does not replace its source
+        if saved is None:
+            saved = self._of_source(file)
+        elif choices["pose_object"] is None:
+            choices["pose_object"] = saved.choices.get("pose_object")
+        return saved.model_copy(
+            update={
+                "choices": choices,
+                "geometry": _base64(window.saveGeometry()),
+                "layout": _base64(window.saveState()),
+                "tabbed_sides": tuple(str(side.name) for side in window.tabs.made),
+                "shortcuts": self._keys(),
+            }
+        )
+
+    def _of_source(self, file: Path | None) -> SavedSession:
+        """What belongs to the open source."""
+        window, state, source = self._window, self._window.state, self._source
+        sensor = self._sensor_name(file)
+        if source is None:
+            return SavedSession(sensor=sensor)
+        return SavedSession(
+            source=source.name,
+            depth_topic=source.depth_topic,
+            truth=None if source.truth is None else str(source.truth.absolute()),
             live=self._live(sensor),
             sensor=sensor,
             frame=state.frame,
             play_range=state.play_range,
             markers=state.markers,
-            choices=plain_settings(state.settings),
-            camera=_camera(window.view) if moved else None,
-            geometry=_base64(self._window.saveGeometry()),
-            layout=_base64(self._window.saveState()),
-            tabbed_sides=tuple(str(side.name) for side in window.tabs.made),
-            shortcuts=self._keys(),
+            camera=_camera(window.view) if window.scene.moved_by_user else None,
         )
-        absent = self._absent
-        if absent is None:
-            return now
-        kept = {name: getattr(absent, name) for name in SOURCE_FIELDS}
-        obj = now.choices["pose_object"] or absent.choices.get("pose_object")
-        return now.model_copy(update={**kept, "choices": {**now.choices, "pose_object": obj}})
 
     def save_as(self, path: Path) -> None:
         """Write a portable session file, without settings of the user."""
@@ -179,7 +181,7 @@ class SessionSaver(QObject):
         present = plain_settings(self._window.state.settings)
         own = {name: present[name] for name in USER_SETTINGS}
         saved = saved.model_copy(update={"choices": {**saved.choices, **own}})
-        return self.open_source(saved, path, partial(self.apply_settings, saved, path))
+        return self.open_source(saved, partial(self.apply_settings, saved, f"{path}: "))
 
     def _without_refused_sources(self, saved: SavedSession, path: Path) -> SavedSession:
         """The session, without its live sensors if the user refuses to connect to them.
@@ -193,21 +195,21 @@ class SessionSaver(QObject):
             return saved
         return saved.model_copy(update={"live": None})
 
-    def apply_settings(self, saved: SavedSession, file: Path | None = None) -> None:
-        """Apply settings and layout of a session."""
-        window, saved = self._window, with_absolute_paths(saved, file)
-        settings, missing_object = saved.settings, missing(saved).get("object")
-        self._origin, self._problems = f"{file}: " if file is not None else "Last session: ", []
+    def apply_settings(self, saved: SavedSession, origin: str = "Last session: ") -> None:
+        """Apply settings and layout of a session; `origin` begins messages about it."""
+        window, settings = self._window, saved.settings
+        missing_object = missing(saved).get("object")
+        self._origin, self._problems = origin, []
         if missing_object is not None:
             settings = replace(settings, pose_object=None)
             self._problems.append(f"object {missing_object} is missing")
         with window.undo_recorder.unrecorded():
             window.state.change(**vars(settings))
             if saved.geometry:
-                self._window.restoreGeometry(_bytes(saved.geometry))
+                window.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
-                self._window.forget_sizes()
-                self._window.restoreState(_bytes(saved.layout))
+                window.forget_sizes()
+                window.restoreState(_bytes(saved.layout))
                 named = Qt.DockWidgetArea.__members__
                 window.tabs.made = {named[name] for name in saved.tabbed_sides if name in named}
             window.status.setVisible("status" in settings.panels)
@@ -215,8 +217,7 @@ class SessionSaver(QObject):
     def open_source(
         self,
         saved: SavedSession,
-        file: Path | None = None,  # The session file
-        first: Callable[[], None] | None = None,  # Called before, unless opening is refused
+        first: Callable[[], None] = lambda: None,  # Called before, unless opening is refused
     ) -> bool:
         """Open the source of a session at the same frame.
 
@@ -225,13 +226,11 @@ class SessionSaver(QObject):
 
         Returns bool: Whether it is being opened.
         """
-        saved = with_absolute_paths(saved, file)
         missing_files = missing(saved)
         lacks = [f"{k} {name} is missing" for k, name in missing_files.items() if k != "object"]
 
         def begin() -> None:
-            if first is not None:
-                first()
+            first()
             self._problems += lacks
 
         source: Source | None = None

@@ -177,14 +177,6 @@ def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
     )
 
 
-def with_absolute_paths(saved: SavedSession, file: Path | None) -> SavedSession:
-    """Session with absolute paths; names of missing files are unchanged.
-
-    `file`: The session file, next to which files are searched.
-    """
-    return _renamed(saved, lambda name: absolute(name, file))
-
-
 def absolute(name: str, file: Path | None = None) -> str:
     """Absolute path of a file of a session; the unchanged name if there is no such file."""
     path = find_file(name, file)
@@ -214,11 +206,11 @@ def find_file(name: str, file: Path | None) -> Path | None:
 
 
 def read_session(path: Path) -> SavedSession:
-    """Read a session file.
+    """Read a session file; its paths are absolute, unless the file is missing.
 
     Raises InputError: It cannot be read or is not a session.
     """
-    return _read(path, SavedSession)
+    return _renamed(_read(path, SavedSession), lambda name: absolute(name, path))
 
 
 def read_user_file(path: Path) -> UserFile:
