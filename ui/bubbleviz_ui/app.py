@@ -19,6 +19,7 @@ from bubbleviz_ui.window_session import Startup, WindowClosedError, WindowSessio
 
 OFFSCREEN_SECONDS = 4.0
 OFFSCREEN_PICTURES = 3
+SIZE = 1280, 800  # px, of a screenshot
 
 
 def run_window(startup: Startup, *, fresh: bool = True) -> int:
@@ -53,17 +54,15 @@ def run_window(startup: Startup, *, fresh: bool = True) -> int:
     return 0
 
 
-def screenshot(
-    startup: Startup, out: Path, size: tuple[int, int] = (1280, 800), *, overwrite: bool = False
-) -> None:
+def screenshot(startup: Startup, out: Path, *, overwrite: bool = False) -> None:
     """Write a screenshot of the window at one frame.
 
     Raises InputError: There is no display, the recording cannot be opened or has no such frame, or
     the picture exists or cannot be written.
     """
     refuse_existing(out, overwrite=overwrite)
-    with screen_for_pictures(*size), window_session(startup) as session:
-        session.window.resize(*size)
+    with screen_for_pictures(*SIZE), window_session(startup) as session:
+        session.window.resize(*SIZE)
         session.window.show()
         # so that numbers and scales do not depend on the frames solved before
         controller, state = session.controller, session.state

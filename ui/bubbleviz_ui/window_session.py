@@ -193,10 +193,10 @@ class WindowSession:
             self.application.processEvents()
             time.sleep(0.002)
 
-    def wait_until_drawn(self, pictures: int = 3) -> None:
+    def wait_until_drawn(self) -> None:
         """Run the event loop until layout and drawing are complete."""
         view = self.window.view
-        for _ in range(pictures):
+        for _ in range(3):
             count = view.render_count
             view.refresh()
             self.wait_for(lambda count=count: view.render_count > count, "drawing")  # type: ignore[misc]

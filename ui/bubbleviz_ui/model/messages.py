@@ -65,17 +65,10 @@ class Messages(QObject):
         self.added.emit(message)
 
 
-# Event rate over the last second.
-
-
 class RateMeter:
-    """Events per second over a sliding window.
+    """Events of the last second."""
 
-    `window_s`: Length of the window, s.
-    """
-
-    def __init__(self, window_s: float = 1.0) -> None:
-        self._window_s = window_s
+    def __init__(self) -> None:
         self._times: deque[float] = deque()
 
     def tick(self, now_s: float) -> None:
@@ -83,7 +76,7 @@ class RateMeter:
         self._times.append(now_s)
 
     def rate_hz(self, now_s: float) -> float:
-        """Events per second in the window that ends now."""
-        while self._times and self._times[0] < now_s - self._window_s:
+        """Number of events in the second that ends now."""
+        while self._times and self._times[0] < now_s - 1.0:
             self._times.popleft()
-        return len(self._times) / self._window_s
+        return float(len(self._times))

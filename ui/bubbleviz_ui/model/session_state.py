@@ -31,9 +31,9 @@ class SessionState(QObject):
     markers_changed = Signal()
     history_changed = Signal()
 
-    def __init__(self, settings: Settings | None = None) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.settings = settings or Settings()
+        self.settings = Settings()
         self.messages = Messages(self)
         # not connections, whose references the garbage collection of Python does not see
         self._followers: list[tuple[frozenset[str], Callable[[], object]]] = []
@@ -49,7 +49,6 @@ class SessionState(QObject):
         self.markers: tuple[int, ...] = ()  # Marked frames, ascending
         self.history = FrameHistory(0)
         self.units = Units()
-        self.units.use({name: getattr(self.settings, name) for name in UNIT_CHOICES})
 
     def open(
         self,
