@@ -115,7 +115,8 @@ def open_panel(session: WindowSession, name: str, **settings: Any) -> None:
     beside = ALWAYS if PANELS[name].side == "right" else ("kappa", *ALWAYS)
     measured: list[object] = []
     comparing = session.controller.compared.connect(lambda *found: measured.append(found))
-    session.window.use_scene(replace(scene, panels=frozenset({name, *beside})))
+    panels = frozenset({name, *beside})
+    session.window.use_scene(replace(scene, settings={**scene.settings, "panels": panels}))
     session.window.panels[name].raise_()
     session.state.change(**{"images": Settings().images, "plots": Settings().plots, **settings})
     session.window.scene.reset_view()

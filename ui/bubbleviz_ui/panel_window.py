@@ -171,7 +171,7 @@ class PanelWindow(QMainWindow):
     def use_scene(self, preset: ScenePreset) -> None:
         """Apply a scene preset: layers, panels, viewpoint."""
         with self.undo_recorder.one_step("scene"):
-            self.open_panels.show_only(preset.panels)
+            self.open_panels.show_only(preset.settings["panels"])
             self.state.change(**preset.settings)
         self.scene.reset_view()
 
@@ -338,10 +338,7 @@ class PanelWindow(QMainWindow):
                 dock.maximise_height()
             if not kind.by_default:
                 dock.hide()
-            if kind.settings_name:
-                dock.visibilityChanged.connect(
-                    partial(self.state.set_panel_open, kind.settings_name)
-                )
+            dock.visibilityChanged.connect(partial(self.state.set_panel_open, name))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
         docks["plots"].open_at_hint_height()
         docks["images"].open_at_hint_height()

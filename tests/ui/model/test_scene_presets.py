@@ -43,7 +43,7 @@ def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):
         driver.window.use_scene(preset)
         driver.wait_until_shown()
         shown = {panel for panel, w in driver.window.panels.items() if w.isVisible()}
-        assert shown == preset.panels, name
+        assert shown == preset.settings["panels"], name
         checked = {layer for layer, box in boxes.items() if box.isChecked()}
         assert checked == preset.settings["layers"], name
         assert driver.window.layers.cloud_points.currentIndex() >= 0, name

@@ -23,9 +23,9 @@ from bubbleviz_ui.model.registry import (
     ESTIMATE,
     LAYERS,
     NO_PRODUCTS,
+    PANELS,
     PATCH,
     PLOTS,
-    RESULT_PANELS,
     Products,
 )
 from bubbleviz_ui.model.settings import Settings
@@ -96,7 +96,7 @@ def needed_products(settings: Settings) -> Products:
     """All products needed by the visible layers and panels."""
     needed = NO_PRODUCTS.union(
         *(LAYERS[name].needs for name in settings.layers),
-        *(RESULT_PANELS[name].needs for name in settings.panels),
+        *(PANELS[name].needs for name in settings.panels),
     )
     if "cloud" in settings.layers:
         needed |= CLOUD_COLOURS[settings.cloud_colour]

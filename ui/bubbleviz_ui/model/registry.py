@@ -115,7 +115,6 @@ class PanelKind:
     """A panel of the window."""
 
     title: str  # Of its dock
-    settings_name: str = ""  # In `Settings.panels`; empty: the panel shows no results
     needs: Products = NO_PRODUCTS  # Computed only while the panel is in front
     side: Literal["right", "bottom", "left"] | None = "right"  # Initial side; None: not a dock
     tab_of: str = ""  # Panel to which it is added as a tab
@@ -125,26 +124,21 @@ class PanelKind:
 PANELS: Mapping[str, PanelKind] = MappingProxyType(
     {
         "layers": PanelKind("Layers", by_default=True),
-        "kappa": PanelKind("Contact patch", "kappa_panel", PATCH, by_default=True),
-        "threshold": PanelKind("Threshold", "threshold", PATCH, tab_of="kappa"),
-        "compare": PanelKind("Compare", "compare", tab_of="kappa"),
+        "kappa": PanelKind("Contact patch", PATCH, by_default=True),
+        "threshold": PanelKind("Threshold", PATCH, tab_of="kappa"),
+        "compare": PanelKind("Compare", tab_of="kappa"),
         "tools": PanelKind("3-D tools", tab_of="layers"),
         "sensor": PanelKind("Sensor", tab_of="layers"),
-        "pose": PanelKind("Pose", "pose", tab_of="kappa"),
-        "shear": PanelKind("Shear", "shear", frozenset({"traction", "slip"}), tab_of="kappa"),
+        "pose": PanelKind("Pose", tab_of="kappa"),
+        "shear": PanelKind("Shear", frozenset({"traction", "slip"}), tab_of="kappa"),
         "calibration": PanelKind("Calibration", tab_of="layers"),
-        "plots": PanelKind("Plots", "plots", side="bottom"),
-        "images": PanelKind("Images", "images", side="left"),
+        "plots": PanelKind("Plots", side="bottom"),
+        "images": PanelKind("Images", side="left"),
         "playback": PanelKind("Playback", side="bottom", by_default=True),
-        "status": PanelKind("Status bar", "status", PATCH, side=None, by_default=True),
+        "status": PanelKind("Status bar", PATCH, side=None, by_default=True),
     }
 )
 """By name, in the order of the View menu."""
-
-RESULT_PANELS: Mapping[str, PanelKind] = MappingProxyType(
-    {panel.settings_name: panel for panel in PANELS.values() if panel.settings_name}
-)
-"""Panels that show results, by their name in `Settings.panels`."""
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ from typing import Any
 
 from bubbleviz.errors import InputError
 from bubbleviz.files import preset_names, presets_folder, read_toml
-from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.settings import SETTINGS, Settings
 
 
@@ -16,7 +15,6 @@ class ScenePreset:
     """A scene; results of hidden layers and panels are not computed."""
 
     title: str  # In the menu
-    panels: frozenset[str]  # Names of the visible ones
     settings: dict[str, Any]  # The fields of `Settings` in the group "scene"
 
 
@@ -31,7 +29,5 @@ def load_scene(name: str) -> ScenePreset:
             f'--scene "{name}": no such scene preset; choose one of {", ".join(names)}'
         )
     read = read_toml(presets_folder("scenes") / f"{name}.toml")
-    title, panels = read.pop("title"), frozenset(read.pop("panels"))
-    read["panels"] = {PANELS[panel].settings_name for panel in panels} - {""}
-    chosen = SETTINGS.validate_python(read)
-    return ScenePreset(title, panels, {k: getattr(chosen, k) for k in Settings.group("scene")})
+    title, chosen = read.pop("title"), SETTINGS.validate_python(read)
+    return ScenePreset(title, {name: getattr(chosen, name) for name in Settings.group("scene")})

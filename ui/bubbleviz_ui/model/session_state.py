@@ -242,6 +242,6 @@ class SessionState(QObject):
         self.change(layers=layers | {name} if visible else layers - {name})
 
     def set_panel_open(self, name: str, visible: bool) -> None:
-        """Record that a panel with results was opened or closed."""
+        """Record that a panel came to the front, or is hidden, perhaps by a tab."""
         panels = self.settings.panels
         self.change(panels=panels | {name} if visible else panels - {name})

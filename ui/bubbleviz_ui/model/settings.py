@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from bubbleviz.inverse import ESTIMATORS, MAX_NODES, SOLVER_NAMES, EstimatorOptions
 from bubbleviz.membrane import MOST_FRICTION
-from bubbleviz_ui.model.registry import IMAGES, LAYERS, PLOTS, RESULT_PANELS
+from bubbleviz_ui.model.registry import IMAGES, LAYERS, PANELS, PLOTS
 from bubbleviz_ui.model.units import DIMENSIONLESS, UNIT_CHOICES, Unit
 
 CloudColour = Literal["residual", "patch", "plain"]
@@ -202,10 +202,10 @@ class Settings(_SettingsBase):
         titles={name: layer.title for name, layer in LAYERS.items()},
     )
     panels: frozenset[str] = _setting(
-        frozenset(name for name, panel in RESULT_PANELS.items() if panel.by_default),
+        frozenset(name for name, panel in PANELS.items() if panel.by_default),
         "panels",
         groups="scene",
-        titles={name: panel.title for name, panel in RESULT_PANELS.items()},
+        titles={name: panel.title for name, panel in PANELS.items()},
     )
     # plots, images: Shown in the panels of these names
     plots: frozenset[str] = _setting(

@@ -20,7 +20,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.demand import StageTime, StageTimes
 from bubbleviz_ui.model.frame_history import FrameHistory
-from bubbleviz_ui.model.registry import LAYERS, RESULT_PANELS
+from bubbleviz_ui.model.registry import LAYERS, PANELS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts, force_text, friction_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, Units
@@ -301,7 +301,7 @@ def _title(name: str) -> str:
     """Title of a layer or panel."""
     if name in LAYERS:
         return LAYERS[name].title
-    panel = RESULT_PANELS.get(name)
+    panel = PANELS.get(name)
     if panel is None:
         return name
     return f"{panel.title} panel" if panel.side else panel.title.lower()
