@@ -100,7 +100,7 @@ class Bench(Driver):
 
     def record(self):
         """Press the record button and wait until it writes."""
-        self.live_controller.set_folder(self.folder)
+        self.state.change(record_folder=str(self.folder))
         self.window.live.record.button.click()
         self.wait(lambda: self.status().messages > 5)
 

@@ -301,15 +301,18 @@ class Menus(QObject):
         self._tool(menu, "distance", "Measure &distance and profile")
         self._add(menu, "&Clear probe", partial(window.tools.use_tool, "rotate"), "Esc")
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
-        self._layers(menu.addMenu("&Visible layers"))
+        layers = menu.addMenu("&Visible layers")
+        for name, kind in LAYERS.items():
+            bind_membership(self._switch(layers, kind.title), window.state, "layers", name)
         scenes = menu.addMenu("&Scene")
         for name in preset_names("scenes"):
             preset = load_scene(name)
             self._add(scenes, preset.title, partial(window.use_scene, preset))
+        full = Qt.WindowState.WindowFullScreen
         CheckMark(
             self._switch(menu, "&Full screen", "F11"),
-            self._window.isFullScreen,
-            lambda _: self._toggle_full_screen(),
+            window.isFullScreen,
+            lambda _: window.setWindowState(window.windowState() ^ full),
             menu.aboutToShow,
         )
         self._one_of(menu.addMenu("&Theme"), "theme")
@@ -325,10 +328,6 @@ class Menus(QObject):
             menu.aboutToShow,
         )
 
-    def _layers(self, menu: QMenu) -> None:
-        for name, kind in LAYERS.items():
-            bind_membership(self._switch(menu, kind.title), self._window.state, "layers", name)
-
     def _tool(self, menu: QMenu, name: str, title: str) -> None:
         """Add an action that selects a tool; unchecked, the mouse only rotates."""
         tools = self._window.tools
@@ -338,10 +337,6 @@ class Menus(QObject):
             lambda on: tools.use_tool(name if on else "rotate"),
             tools.tools[name].toggled,
         )
-
-    def _toggle_full_screen(self) -> None:
-        window = self._window
-        window.setWindowState(window.windowState() ^ Qt.WindowState.WindowFullScreen)
 
     def _one_of(self, menu: QMenu, *fields: str) -> None:
         """Add exclusive actions for the values of each setting."""

@@ -59,7 +59,7 @@ class Bench(Driver):
 @pytest.fixture
 def bench(drive, monkeypatch, tmp_path):
     made = Bench(drive(frame=3), monkeypatch)
-    made.window.live_controller.set_folder(tmp_path)  # where recordings go
+    made.state.change(record_folder=str(tmp_path))  # where recordings go
     yield made
     made.release()
 

@@ -95,7 +95,7 @@ class RecordControls(QWidget):
         present = folder if folder.is_dir() else folder.parent  # created with the first recording
         name = QFileDialog.getExistingDirectory(self, "Record into", str(present))
         if name:
-            self._live.set_folder(name)
+            self._live.state.change(record_folder=name)
             remember("recording", new_name(Path(name)))
 
     def _save_note(self) -> None:

@@ -75,10 +75,6 @@ class LiveController(QObject):
             return "disconnected"
         return self.sensor.stream.status().state if self._first_drawn else "connecting"
 
-    def set_folder(self, folder: str | Path) -> None:
-        """Set the folder of recordings."""
-        self.state.change(record_folder=str(folder))
-
     def connect_to(self, preset: SessionPreset) -> None:
         """Connect to a session; the current source stays open until frames arrive."""
         self.cancel()
