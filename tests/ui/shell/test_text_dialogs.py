@@ -1,7 +1,8 @@
 """What a recording has in it, and the documentation, in the window."""
 
 from fakes import DentSource
-from PySide6.QtCore import Qt, QUrl
+from PySide6.QtCore import QSizeF, Qt, QUrl
+from PySide6.QtGui import QTextDocument
 from small_press import write_press
 from window_driver import clipboard_text
 
@@ -35,6 +36,11 @@ def test_information_and_documentation_dialogs(drive, sensor, tmp_path):
     (dialog,) = driver.window.findChildren(PagesDialog)
     assert "Soft-bubble tactile sensors" in dialog.page.toPlainText()
     assert "![" not in dialog.page.toPlainText() and not dialog.back.isEnabled()
+    # pictures fit, also in another width
+    for width in (900, 500):
+        dialog.resize(width, 500)
+        pictures = [each for each in images(dialog.page) if each.width() > 300]
+        assert pictures and all(each.width() <= dialog.page.viewport().width() for each in pictures)
     dialog.page.setSource(QUrl("tutorials/first-press.md"))
     assert "First press" in dialog.page.toPlainText()
     driver.click(dialog.back)
@@ -51,6 +57,23 @@ def test_information_and_documentation_dialogs(drive, sensor, tmp_path):
     driver.type(dialog.search, "no page has this")
     assert dialog.missed.text() == "not found"
     dialog.close()
+
+
+def images(page):
+    """Sizes of the pictures of a page as laid out."""
+    document, place = page.document(), page.document().begin()
+    found = list[QSizeF]()
+    while place.isValid():
+        for part in place:
+            form = part.fragment().charFormat()
+            if form.isImageFormat():
+                kind, name = (
+                    QTextDocument.ResourceType.ImageResource.value,
+                    form.toImageFormat().name(),
+                )
+                found.append(document.resource(kind, QUrl(name)).deviceIndependentSize())
+        place = place.next()
+    return found
 
 
 def at(page):

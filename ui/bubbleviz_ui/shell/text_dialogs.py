@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import Qt, QUrl
-from PySide6.QtGui import QFontDatabase, QPixmap, QTextCursor, QTextDocument
+from PySide6.QtGui import QFontDatabase, QPixmap, QResizeEvent, QTextCursor, QTextDocument
 from PySide6.QtWidgets import (
     QApplication,
     QDialog,
@@ -125,6 +125,14 @@ class _Page(QTextBrowser):
             picture.setDevicePixelRatio(scale)
         return picture
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Fit the pictures to another width."""
+        super().resizeEvent(event)
+        if event.size().width() != event.oldSize().width():
+            place = self.verticalScrollBar().value()
+            self.reload()
+            self.verticalScrollBar().setValue(place)
+
 
 class PagesDialog(QDialog):
     """The documentation installed with the program."""
@@ -151,7 +159,7 @@ class PagesDialog(QDialog):
         for button in (self.home, self.back):
             button.setAutoDefault(False)  # Enter searches
         row = fill(QHBoxLayout(), self.home, self.back, (self.search, 1), self.missed)
-        fill(QVBoxLayout(self), row, (self.page, 1)).activate()  # the page's width is known
+        fill(QVBoxLayout(self), row, (self.page, 1))
         self.page.setSource(QUrl.fromLocalFile(str(folder / HOME)))
         self.search.setFocus()
 
