@@ -101,7 +101,7 @@ class Bench(Driver):
     def record(self):
         """Press the record button and wait until it writes."""
         self.state.change(record_folder=str(self.folder))
-        self.window.live.record.button.click()
+        self.window.live.record.click()
         self.wait(lambda: self.status().messages > 5)
 
     def status(self):
@@ -112,7 +112,7 @@ class Bench(Driver):
     def stop(self):
         """Press it again and wait until the file is whole."""
         path = Path(self.status().path)
-        self.window.live.record.button.click()
+        self.window.live.record.click()
         self.wait(lambda: f"Recorded {path}" in self.window.notice.label.text())
         return path
 

@@ -276,8 +276,8 @@ class Menus(QObject):
             lambda _: live.toggle_recording(),
             live.recording.changed,
         )
-        self._add(menu, "Recording &folder…", window.live.record.choose_folder)
-        self._add(menu, "Add a &note…", window.live.record.start_note, "Shift+M")
+        self._add(menu, "Recording &folder…", window.live.choose_folder)
+        self._add(menu, "Add a &note…", window.live.start_note, "Shift+M")
         CheckMark(
             self._switch(menu, "&Publish results", "Ctrl+Shift+R"),
             lambda: live.publishing.on,

@@ -22,7 +22,7 @@ from tests.live.streams import listens
 def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench, monkeypatch):
     QSettings("bubbleviz", "folders").clear()  # as of a new user
     live = connected_bench(open_bench)
-    live.window.live.record.button.click()
+    live.window.live.record.click()
     live.wait(lambda: live.status().messages > 5)
     own = live.stop().parent
     assert own == Path.home() / "bubbleviz-recordings" and own.is_dir()
@@ -42,7 +42,7 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
     live.trigger("File › Open recording")
     assert begun == [str(own), chosen]
     # complete, with markers and notes
-    controls = live.window.live.record
+    bar = live.window.live
     live.state.change(pre_roll_s=3.0)
     live.wait_for_frames(5)
     pressed_ns = time.time_ns()
@@ -50,12 +50,12 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
     assert live.is_checked("Live › Record")
     live.key(Qt.Key.Key_M)
     live.key(Qt.Key.Key_M, SHIFT)
-    live.wait(controls.note.isVisible)
-    live.bot.keyClicks(controls.note, "slipped here")
-    live.bot.keyClick(controls.note, Qt.Key.Key_Return)
+    live.wait(bar.note.isVisible)
+    live.bot.keyClicks(bar.note, "slipped here")
+    live.bot.keyClick(bar.note, Qt.Key.Key_Return)
     live.wait_for_frames(5)
     live.window.live.update_status()
-    assert re.fullmatch(r"\d\d:\d\d · .* MB unwritten", controls.progress.text())
+    assert re.match(r"\d\d:\d\d · .* MB unwritten  ·  ", bar.counts.text())
     path = live.stop()
     assert not live.is_checked("Live › Record")
     found = messages_by_type(path)
@@ -83,7 +83,7 @@ def test_recording_with_folder_markers_notes_and_completion_on_close(open_bench,
             places[-1].append(place())
         if not live.live_controller.recording.busy:
             live.record()
-    assert "unwritten" in bar.record.progress.text() and bar.record.progress.isVisible()
+    assert "unwritten" in bar.counts.text() and bar.counts.isVisible()
     assert places[0] == places[1]
     live.stop()
     # closing the window completes a recording
@@ -105,7 +105,7 @@ def test_full_disk_is_reported_and_results_are_published_on_request(open_bench):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
         signal.signal(signal.SIGXFSZ, former)
-    assert not live.window.live.record.button.isChecked()
+    assert not live.window.live.record.isChecked()
     live.wait_for_frames(3)
     (path,) = live.folder.glob("*.mcap")
     assert 0 < path.stat().st_size <= 600_000

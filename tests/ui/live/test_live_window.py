@@ -131,7 +131,7 @@ def test_window_with_live_bar_fits_a_small_screen(open_bench):
         assert (window.width(), window.height()) == size, title
     live.record()
     live.wait_for_frames(1)
-    window.live.record.start_note()
+    window.live.start_note()
     window.shortcuts.actions["Help › First steps"].trigger()
     long = "/home/robot/recordings/monday/press_of_the_ball.mcap: is no recording; "
     window.messages.add("error", long, "details")

@@ -15,13 +15,12 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QSizePolicy,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
-from bubbleviz.live import Counters, LatencyMeter, LatencyReport, RecorderStatus
+from bubbleviz.live import Counters, LatencyMeter, LatencyReport
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.wording import count_of
@@ -35,84 +34,6 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, tool_button
 from bubbleviz_ui.shell.file_dialogs import remember
 from bubbleviz_ui.view3d.render_view import View
-
-# Record button with progress and notes.
-
-
-class RecordControls(QWidget):
-    """While recording: elapsed time, size, messages and a note; its place is kept before.
-
-    Its `button` is placed by itself, as both do not fit into one row of a narrow bar.
-    """
-
-    def __init__(self, live: LiveController) -> None:
-        super().__init__()
-        self._live = live
-        self.button = tool_button("● Record", "", live.toggle_recording, checkable=True)
-        self.progress = Elided(Qt.TextElideMode.ElideRight, "88:88 · 888.8 MB …")
-        self.note = QLineEdit()
-        self.note.setPlaceholderText("Note, stamped with the time you began it")
-        self.note.setMinimumWidth(100)
-        self.note.setToolTip("Enter saves the note in the recording")
-        self.note.hide()
-        self._noted_ns: int | None = None
-        fill(QHBoxLayout(self), (self.progress, 1), self.note, margins=(0, 0, 0, 0))
-        # The bar does not jump when a recording or a note begins
-        self.progress.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
-        kept = self.note.sizePolicy()
-        kept.setRetainSizeWhenHidden(True)
-        self.note.setSizePolicy(kept)
-        self.note.returnPressed.connect(self._save_note)
-        self.note.editingFinished.connect(self.note.hide)
-
-    def update_status(self) -> None:
-        """Show the progress of the recording."""
-        recording = self._live.recording
-        status, busy = recording.status(), recording.busy
-        self.button.setChecked(busy)
-        self.button.setText("■ Stop" if busy else "● Record")
-        # at least as wide as it was before: other controls do not move
-        self.button.setMinimumWidth(max(self.button.minimumWidth(), self.button.sizeHint().width()))
-        begin = f"Record the live source to a new file in {recording.folder}"
-        self.button.setToolTip(f"{'End the recording' if busy else begin} (Ctrl+R)")
-        text = "" if status is None else progress(status, recording.elapsed_s)
-        self.progress.setText(text)
-        self.progress.setToolTip(text)
-        if not busy:
-            self.note.hide()
-
-    def start_note(self) -> None:
-        """Open the box for a note with the current time."""
-        if self._live.recording.busy:
-            self._noted_ns = time.time_ns()
-            self.note.clear()
-            self.note.show()
-            self.note.setFocus()
-
-    def choose_folder(self) -> None:
-        """Choose the folder of recordings."""
-        folder = self._live.recording.folder
-        present = folder if folder.is_dir() else folder.parent  # created with the first recording
-        name = QFileDialog.getExistingDirectory(self, "Record into", str(present))
-        if name:
-            self._live.state.change(record_folder=name)
-            remember("recording", new_name(Path(name)))
-
-    def _save_note(self) -> None:
-        text = self.note.text().strip()
-        if text:
-            self._live.recording.mark(text, self._noted_ns)
-        self.note.clearFocus()
-
-
-def progress(status: RecorderStatus, elapsed_s: float) -> str:
-    """Elapsed time, size, number of messages and data not written yet."""
-    minutes, seconds = divmod(int(elapsed_s), 60)
-    return (
-        f"{minutes:02d}:{seconds:02d} · {status.size_bytes / 1e6:.1f} MB · "
-        f"{count_of(status.messages, 'message')} · {status.waiting_bytes / 1e6:.1f} MB unwritten"
-    )
-
 
 BADGES: dict[Badge, str] = {
     "connecting": theme.BLUE,
@@ -154,7 +75,13 @@ class LiveBar(QFrame):
         # in a narrow bar the rate needs a second line at times: the bar does not jump
         self.state.setMinimumHeight(2 * self.state.fontMetrics().height())
         self.sensors: list[QToolButton] = []
-        self.record = RecordControls(live)
+        self.record = tool_button("● Record", "", live.toggle_recording, checkable=True)
+        self.note = QLineEdit()
+        self.note.setPlaceholderText("Note, stamped with the time you began it")
+        self.note.setMinimumWidth(100)
+        self.note.setToolTip("Enter saves the note in the recording")
+        self.note.hide()
+        self._noted_ns: int | None = None
         self.zero = tool_button(
             "Zero gas",
             "Zero the gas pressure in the next contact-free frames (Ctrl+Shift+G)",
@@ -183,7 +110,7 @@ class LiveBar(QFrame):
         run, waits = self._live.run, self._live.connection is not None
         left = self._live.state.badge == "disconnected"
         self.setVisible(run is not None or waits or left or bool(self._pair.sensors))
-        for widget in (self.record, self.record.button, self.zero, self.publish, self.counts):
+        for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
         self.leave.setText("Disconnect" if run is not None else "Cancel")
@@ -201,7 +128,7 @@ class LiveBar(QFrame):
             else:
                 self._show_badge(live.state.badge)
             return
-        self.record.update_status()
+        progress = self._show_recording()
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters
         drawn = live.connection_state != "connecting"  # until then something else may be open
         badge = live.state.badge if drawn else "connecting"
@@ -210,6 +137,7 @@ class LiveBar(QFrame):
         # faults first: a narrow bar elides the rest
         texts = [
             *fault_texts(counters),
+            *progress,
             self._zero_text(),
             count_of(counters.received, "message"),
             count_of(counters.frames, "image"),
@@ -223,9 +151,8 @@ class LiveBar(QFrame):
 
     def _lay_out(self) -> None:
         row, head, none = QWidget(), QWidget(), (0, 0, 0, 0)
-        self._head = fill(QHBoxLayout(head), (self.state, 1), margins=none, spacing=6)
-        record = self.record, self.record.button
-        BarLayout(row, head, *record, self.zero, self.publish, self.leave, margins=none)
+        self._head = fill(QHBoxLayout(head), (self.state, 1), self.note, margins=none, spacing=6)
+        BarLayout(row, head, self.record, self.zero, self.publish, self.leave, margins=none)
         fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
@@ -236,6 +163,52 @@ class LiveBar(QFrame):
         live.state.source_changed.connect(self.show_all)
         live.state.frozen_changed.connect(self.update_status)
         live.state.connection_changed.connect(self.update_status)
+        self.note.returnPressed.connect(self._save_note)
+        self.note.editingFinished.connect(self.note.hide)
+
+    def start_note(self) -> None:
+        """Open the box for a note with the current time."""
+        if self._live.recording.busy:
+            self._noted_ns = time.time_ns()
+            self.note.clear()
+            self.note.show()
+            self.note.setFocus()
+
+    def _save_note(self) -> None:
+        text = self.note.text().strip()
+        if text:
+            self._live.recording.mark(text, self._noted_ns)
+        self.note.clearFocus()
+
+    def choose_folder(self) -> None:
+        """Choose the folder of recordings."""
+        folder = self._live.recording.folder
+        present = folder if folder.is_dir() else folder.parent  # created with the first recording
+        name = QFileDialog.getExistingDirectory(self, "Record into", str(present))
+        if name:
+            self._live.state.change(record_folder=name)
+            remember("recording", new_name(Path(name)))
+
+    def _show_recording(self) -> list[str]:
+        """Update button and note of recording; returns its progress, if any."""
+        recording, button = self._live.recording, self.record
+        status, busy = recording.status(), recording.busy
+        button.setChecked(busy)
+        button.setText("■ Stop" if busy else "● Record")
+        # at least as wide as it was before: other controls do not move
+        button.setMinimumWidth(max(button.minimumWidth(), button.sizeHint().width()))
+        begin = f"Record the live source to a new file in {recording.folder}"
+        button.setToolTip(f"{'End the recording' if busy else begin} (Ctrl+R)")
+        if not busy:
+            self.note.hide()
+        if status is None:
+            return []
+        minutes, seconds = divmod(int(recording.elapsed_s), 60)
+        written, waiting = (size / 1e6 for size in (status.size_bytes, status.waiting_bytes))
+        return [
+            f"{minutes:02d}:{seconds:02d} · {written:.1f} MB · "
+            f"{count_of(status.messages, 'message')} · {waiting:.1f} MB unwritten"
+        ]
 
     def _make_sensors(self) -> None:
         """Create a button for each of two sensors."""
