@@ -1,4 +1,4 @@
-"""Command palette: fuzzy search of all menu actions, by keyboard."""
+"""Command palette: search of all menu actions, by keyboard."""
 
 from __future__ import annotations
 
