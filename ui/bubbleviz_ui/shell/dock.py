@@ -470,17 +470,15 @@ class Elided(QLabel):
     """A label that elides its text.
 
     `where`: Position of the ellipsis.
-    `least`: Text that determines the minimum width.
     """
 
-    def __init__(self, where: Qt.TextElideMode, least: str = "") -> None:
+    def __init__(self, where: Qt.TextElideMode) -> None:
         super().__init__()
-        self._where, self._least = where, least
+        self._where = where
 
     def minimumSizeHint(self) -> QSize:
-        """Width of `least`."""
-        least = self.fontMetrics().horizontalAdvance(self._least)
-        return QSize(least, super().minimumSizeHint().height())
+        """Height of a line, in any width."""
+        return QSize(0, super().minimumSizeHint().height())
 
     def paintEvent(self, _: QPaintEvent) -> None:
         """Draw the elided text."""
