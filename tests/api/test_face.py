@@ -406,7 +406,7 @@ def test_errors_equal_those_of_the_command_line(frames, sensor, tmp_path):
             bv.estimate(given)
     with pytest.raises(bv.InputError, match="exists already"):
         bv.save_sensor(bv.load_sensor(sensor), sensor)
-    with pytest.raises(bv.InputError, match=r"ends in \.toml"):
+    with pytest.raises(bv.InputError, match=r"end it in \.toml"):
         bv.save_sensor(bv.load_sensor(sensor), tmp_path / "sensor.json")
 
 

@@ -108,7 +108,7 @@ def test_oval_sensor_with_gas_pressure_finds_contact_free_frames_with_a_reason(
         (("--contact-free", "9:3"), "outside its 6 frames"),
         (("--contact-free", "0:4"), "at least 5"),
         (("--out", "given.toml"), "exists already"),
-        (("--out", "mine.txt"), "ends in .toml"),
+        (("--out", "mine.txt"), "end it in .toml"),
     ],
 )
 def test_refused_calibration_leaves_no_files(tmp_path, extra, match):

@@ -76,7 +76,6 @@ REFUSED = [
     ("convert", "REC other.csv", "end it in .mcap, or give a folder without a dot in its name"),
     ("convert", "REC other.txt", "end it in .mcap"),
     ("record", "synthetic: --out rec.txt", "end it in .mcap"),
-    ("identify", "REC --sensor S --out mine.txt", "end it in .toml"),
     ("validate", "REC --sensor S --out mine.txt", "end it in .png, .svg, .pdf, .csv or .json, or"),
     ("open", "--screenshot a.jpg", "a.jpg: not the name of this output; end it in .png"),
     ("open", "--screenshot a.png --scene nope", "nope"),
