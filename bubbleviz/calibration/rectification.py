@@ -43,6 +43,7 @@ def rectify(
         np.where(mask, np.stack([each.modelled_range_m for each in every]), np.nan),
         np.stack([each.pixels.noise_m for each in every]),
         np.array([each.samples.statistics.effective_frames for each in every]),
+        max(each.samples.statistics.quantum_m for each in every),
     )
     pixels, known = found.pixels, np.isfinite(slope)
     mask = pixels.mask & known
@@ -60,6 +61,7 @@ def fit_lines(
     modelled_m: np.ndarray,
     noise_m: np.ndarray,  # (L, H, W), standard deviation of one sample, m
     frames: np.ndarray,  # (L,), effective number of independent frames in a mean
+    quantum_m: float = 0.0,  # step of the depth, m; its rounding does not average out over frames
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Slope of true over measured range, and ranges (m) between which it is valid, (H, W) each.
 
@@ -72,7 +74,7 @@ def fit_lines(
     Raises InputError: no pixel was measured at every level.
     """
     nearest, farthest, noise = measured_m.min(axis=0), measured_m.max(axis=0), noise_m.max(axis=0)
-    precision = frames[:, None, None] / noise_m**2
+    precision = 1.0 / (noise_m**2 / frames[:, None, None] + quantum_m**2 / 12.0)
     total = precision.sum(axis=0)
     with np.errstate(invalid="ignore"):
         x, y = (np.sum(precision * image, axis=0) / total for image in (modelled_m, measured_m))

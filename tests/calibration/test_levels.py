@@ -135,6 +135,19 @@ def test_levels_within_the_noise_correct_no_pixel_by_noise(moved_m):
     assert np.sqrt(np.mean((slope * gain - 1.0) ** 2)) < 1.3 * STRETCH
 
 
+def test_rounding_to_millimetres_is_no_gain_of_a_pixel():
+    """Rounding errors do not average out over frames where noise is 0.2 mm; no pixel has a gain."""
+    rng, away = np.random.default_rng(0), np.linspace(0.06, 0.07, 120)
+    true = away + 3.25e-3 * np.array([-1.0, 0.0, 1.0])[:, None, None] * np.ones((90, 1))
+    images = np.round(true[:, None] + rng.normal(0.0, 2e-4, (3, 25, *true.shape[1:])), 3)
+    noise, frames = images.std(axis=1).clip(1e-3 / np.sqrt(12.0)), np.full(3, 25.0)
+    known, unknown = (
+        fit_lines(images.mean(axis=1), true, noise, frames, quantum)[0] for quantum in (1e-3, 0.0)
+    )
+    assert np.std(known) < 0.005
+    assert np.std(unknown) > 0.02
+
+
 def test_a_stuck_pixel_is_not_used():
     moved = 3e-3 * np.array([-1.0, 0.0, 1.0])[:, None, None] * np.ones((8, 8))
     gain = 1.0 + STRETCH * np.random.default_rng(0).standard_normal((8, 8))
