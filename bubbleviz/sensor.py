@@ -358,8 +358,8 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
             original, copy = sensor.resolve(name), path.with_suffix(Path(name).suffix)
             if not original.is_file():
                 raise InputError(
-                    f"{path}: {original}, named in the file of sensor {sensor.name}, is missing "
-                    "and cannot be copied; restore it, or identify the sensor again"
+                    f"{original}: named in the file of sensor {sensor.name}, but missing, so it "
+                    "cannot be copied; restore it, or identify the sensor again"
                 )
             shutil.copyfile(original, files.enter_context(whole_file(copy, overwrite=overwrite)))
             return copy.name

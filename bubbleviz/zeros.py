@@ -60,8 +60,9 @@ class ImageZero:
     During contact they are therefore those of the frames without contact: found anew, they would
     imitate friction and deformations that the model of the membrane lacks. They follow a random
     walk, and those of single images scatter around it. As a contact is found some frames after it
-    began, the last `MIN_FRAMES` of consecutive frames are not used. Changes between these frames
-    tell the noise, which may be larger than in the sensor file, or correlated between pixels.
+    began, the last `MIN_FRAMES` of consecutive frames are not used for them. Changes between all of
+    these frames tell the noise, which may be larger than in the sensor file, or correlated between
+    pixels.
     `fixed`: not to be renewed.
     """
 
@@ -72,7 +73,7 @@ class ImageZero:
         self._known: ImageErrors | None = None
         self._time_s = 0.0
         self._rest: list[Result] = []
-        self._last: deque[Frame] = deque(maxlen=LAG)
+        self._last: deque[Frame] = deque(maxlen=1 + LAG)
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with the noise and the known errors, if any."""
@@ -82,12 +83,12 @@ class ImageZero:
     def follow(self, result: Result, pipeline: Pipeline) -> None:
         """Use a solved frame if it belongs to consecutive frames without contact."""
         time_s = result.frame.time_s
+        self._last.append(result.frame)
         recent = self._known is not None and abs(time_s - self._time_s) < _RENEWED_S
         again = bool(self._rest) and time_s <= self._rest[-1].frame.time_s
         if self.fixed or recent or again:
             return
         touched = not (_is_contact_free(result) or self._is_noise(result, pipeline))
-        self._last.append(result.frame)
         if not touched:
             self._rest.append(result)
         if touched or len(self._rest) == ZERO_FRAMES:
@@ -99,9 +100,10 @@ class ImageZero:
     def _is_noise(self, result: Result, pipeline: Pipeline) -> bool:
         """Whether noise explains an implausible image, by its change since some frames before."""
         implausible = result.estimate is not None and result.estimate.status == "implausible"
-        if not implausible or len(self._last) < LAG:
+        if not implausible or len(self._last) <= LAG:
             return False
-        return pipeline.is_untouched(pipeline.with_noise([self._last[0], result.frame])[-1])
+        noisy = pipeline.with_noise([self._last[0], result.frame])[-1]
+        return noisy.noise > result.frame.noise and pipeline.is_untouched(noisy)
 
     def take(self, rest: Sequence[Result], pipeline: Pipeline) -> None:
         """Determine the errors from consecutive solved frames without contact."""
@@ -292,8 +294,11 @@ class Zeros(NamedTuple):
         kept: FrameSource | None = None,  # its last frames, by number; None: as given one by one
     ) -> Zeros:
         """Zeros of a stream, which are updated by its frames (`follow`)."""
-        still = StillFrames(pipeline, kept, both_sides=False) if _knows_errors(pipeline) else None
-        return cls(gas, ImageZero(), still)
+        image, still = ImageZero(), None
+        if _knows_errors(pipeline):
+            still = StillFrames(pipeline, kept, both_sides=False)
+        image.fixed = still is None
+        return cls(gas, image, still)
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, known errors and mean of the depth image."""
@@ -433,6 +438,6 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
         others = {max(index - LAG, 0), min(index + LAG, len(source) - 1)} - {index}
         noisy = [pipeline.with_noise([frame, source[k]])[0] for k in sorted(others)]
         frame = min(noisy, key=lambda each: each.noise, default=frame)
-        return frame if pipeline.is_untouched(frame) else None
+        return frame if frame.noise > 1.0 and pipeline.is_untouched(frame) else None
     except InputError:
         return None

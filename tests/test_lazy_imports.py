@@ -113,7 +113,6 @@ def test_the_window_starts_without_what_its_first_picture_does_not_need():
         "bubbleviz.api.converting",
         "bubbleviz.output.series",
         "bubbleviz_ui.importing.import_dialog",
-        "bubbleviz_ui.shell.text_dialogs",
         "matplotlib.figure",
         "mypy",
         "open3d",

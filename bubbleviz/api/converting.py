@@ -8,7 +8,7 @@ from typing import Any
 
 from bubbleviz.api.frames import RecordingInfo, info
 from bubbleviz.errors import InputError
-from bubbleviz.files import refuse_input
+from bubbleviz.files import refuse_existing, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     INTRINSICS,
@@ -79,6 +79,7 @@ def convert(
         An input cannot be read or does not match the others, or `out` exists; nothing is written.
     """
     refuse_input(out, source)
+    refuse_existing(out, ".mcap", "", overwrite=overwrite)
     source = Path(source)
     progress("opening", 0.0)
     files = {

@@ -7,6 +7,7 @@ from collections import Counter, deque
 
 import numpy as np
 
+from bubbleviz.camera import UPPER_95
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, gas_warning
 from bubbleviz.result import Result
@@ -60,6 +61,7 @@ class FrameWarnings:
         found = (
             self._sensor_warning(where),
             self._fit_warning(),
+            self._noise_warning(),
             self._drift_warning(),
             self._friction_warning(),
             self._edge_warning(),
@@ -76,6 +78,17 @@ class FrameWarnings:
             f"{count_of(misfits, 'frame')} did not fit the sensor file, and no frame without "
             "contact shows that it is right, so forces of the others may be wrong: run bubbleviz "
             "check with contact-free frames"
+        )
+
+    def _noise_warning(self) -> str:
+        """Warning if the noise weakens the evidence of contact; else empty."""
+        noise = self._zeros.image.noise
+        if noise <= UPPER_95:
+            return ""
+        return (
+            f"depth averaged over neighbouring pixels has {noise:.1f} times the noise of the "
+            "sensor file (it is larger, or correlated), so light contacts may not be found: "
+            "identify the sensor again, or turn off spatial filters of the camera"
         )
 
     def _drift_warning(self) -> str:

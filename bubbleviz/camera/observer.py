@@ -66,8 +66,8 @@ class BlockSquares:
         cut = round(0.25 * len(sizes)) if steady else (len(sizes) - 1) // 2
         return float(sizes[cut : len(sizes) - cut].mean() / (_MIDDLE_MEAN if steady else MAD))
 
-    def rough_noise_factor(self, block: np.ndarray, z: np.ndarray) -> float:
-        """The same by second differences of squares, which are hardly changed by smooth motion."""
+    def noise_factor_by_curvature(self, block: np.ndarray, z: np.ndarray) -> float:
+        """The same by second differences of squares, which smooth motion hardly changes."""
         means = self._means(block, z)
         means = np.pad(means, (0, -len(means) % self._columns), constant_values=np.nan)
         grid = means.reshape(-1, self._columns)
@@ -334,7 +334,7 @@ class RangeObserver:
         for each in (one, other):
             variance += 1.0 / self._weight(each.total, each.rounding_m2)[block]
         before, after = (each.moment[block] / each.total[block] for each in (one, other))
-        return self._squares.rough_noise_factor(block, (after - before) / np.sqrt(variance))
+        return self._squares.noise_factor_by_curvature(block, (after - before) / np.sqrt(variance))
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a measurement; `expected_m` as in `observe`."""

@@ -98,9 +98,10 @@ def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -
     not write. If `suffixes` are given, its name ends in one of them; "" stands for a folder.
     """
     path = Path(path)
-    if suffixes and path.suffix.lower() not in suffixes:
+    ending = path.suffix.lower() if path.suffix[1:2].isalpha() else ""  # not that of "press_0.5"
+    if suffixes and ending not in suffixes:
         *others, last = filter(None, suffixes)
-        folder = "" if last == suffixes[-1] else ", or give a folder without a dot in its name"
+        folder = "" if last == suffixes[-1] else ", or give a folder"
         names = f"{', '.join(others)} or {last}" if others else last
         raise InputError(f"{path}: not the name of this output; end it in {names}{folder}")
     try:

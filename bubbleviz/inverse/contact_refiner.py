@@ -39,10 +39,10 @@ nodes have an IoU of 0.96 with refinement and 0.89 without, where 3,000 nodes ha
 times as long.
 """
 _MOST_NODES, _MOST_TWICE = 100, 10.0
-"""Most nodes of a contact that is refined, and most `_evenly_loaded` nodes (of some 12) of one that
-is refined twice: the time grows with the square of the number of finer nodes, and is some 80 ms for
-the 200 finer nodes of one that is refined twice. Light nodes, which two estimates of a frame may
-not share, hardly count."""
+"""Most nodes of a contact that is refined, and most `_effective_nodes` (of some 12 nodes) of one
+that is refined twice: the time grows with the square of the number of finer nodes, and is some
+80 ms for the 200 finer nodes of one that is refined twice. Light nodes, which two estimates of a
+frame may not share, hardly count."""
 _FINER_RINGS, _MOVING_RINGS = 2, 6
 """Rings of nodes around the contact that are refined, and rings around those that may move. In the
 hold of the real press, 4 of the latter change the area, 6 do not."""
@@ -124,7 +124,7 @@ class ContactRefiner:
         touching = touching_parts(self._model.mesh, pressure > 0.0, pressure, gas, resolution)
         if not 0 < np.count_nonzero(touching) <= _MOST_NODES:
             return None
-        small = _evenly_loaded(pressure[touching]) <= _MOST_TWICE
+        small = _effective_nodes(pressure[touching]) <= _MOST_TWICE
         limit_m = 0.5 * _FRAME_LIMIT * self._model.mesh.edge_length  # of the mesh refined once
         for twice in (True, False) if small and nominal <= limit_m else (False,):
             try:
@@ -253,7 +253,7 @@ def mesh_limits(estimator: Estimator, mean_noise: float = 1.0) -> bool:
     return resolution < _SENSOR_LIMIT * estimator.mesh.edge_length
 
 
-def _evenly_loaded(pressure: np.ndarray) -> float:
+def _effective_nodes(pressure: np.ndarray) -> float:
     """Effective number of nodes that carry a pressure, (Σp)² / Σp²."""
     return float(pressure.sum() ** 2 / (pressure @ pressure))
 

@@ -343,7 +343,8 @@ class GaussNewton:
         Its support is selected in so many rounds, with given hyperparameters; errors of the whole
         image are fitted or zero. Near the solution friction is fitted, parts of the contact that
         are not significant are left out, and hyperparameters are those of its own evidence: its
-        support is selected again until it was with these, or with neighbours of its noise factor.
+        support is selected again until they agree with those that it was selected with (noise
+        factor within a step of its grid, the same errors of the image).
         """
         measurements, friction = self._measurements(
             tangent, state, observed, gas, hyper, near, fit_image

@@ -106,9 +106,10 @@ def test_a_negative_duration_is_refused(verb, sensor, tmp_path):
         getattr(bv, verb)("synthetic:", sensor=sensor, duration_s=-1, **given)
 
 
-def test_a_domain_that_ros_does_not_have_is_refused():
-    with pytest.raises(bv.InputError, match="--domain -1: give a finite number from 0 to 232"):
-        bv.publish("synthetic:", domain=-1)
+@pytest.mark.parametrize("domain", [-1, 1.5])
+def test_a_domain_that_ros_does_not_have_is_refused(domain):
+    with pytest.raises(bv.InputError, match=f"{domain}: give a whole number from 0 to 232"):
+        bv.publish("synthetic:", domain=domain)
 
 
 def test_a_negative_time_out_is_refused(sensor):
@@ -421,7 +422,7 @@ def test_saved_sensor_includes_mesh_and_pixels(tmp_path):
         assert copy.read_bytes() == given.resolve(name).read_bytes()
     bv.save_sensor(saved, tmp_path / "second.toml")  # in the same folder
     (tmp_path / "second.npz").unlink()
-    with pytest.raises(bv.InputError, match=r"third\.toml: .*second\.npz, named in"):
+    with pytest.raises(bv.InputError, match=r"second\.npz: named in"):
         bv.save_sensor(bv.load_sensor(tmp_path / "second.toml"), tmp_path / "third.toml")
     assert not list(tmp_path.glob("third*"))
 

@@ -73,7 +73,7 @@ REFUSED = [
     ("estimate", "result.npz --csv ''", "the path is empty"),
     ("pose", "REC --sensor S --object sphere --out poses.npz", "end it in .csv"),
     ("pose", "REC --sensor S --object sphere --out poses.txt", "end it in .csv"),
-    ("convert", "REC other.csv", "end it in .mcap, or give a folder without a dot in its name"),
+    ("convert", "REC other.csv", "end it in .mcap, or give a folder"),
     ("convert", "REC other.txt", "end it in .mcap"),
     ("record", "synthetic: --out rec.txt", "end it in .mcap"),
     ("validate", "REC --sensor S --out mine.txt", "end it in .png, .svg, .pdf, .csv or .json, or"),

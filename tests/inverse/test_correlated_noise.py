@@ -56,6 +56,7 @@ def test_frames_of_a_recording_without_contact_have_none():
     run = bv.estimate(frames, sensor())
     assert set(run.status[:REST]) == {"no_contact"}
     assert set(run.status[REST:]) == {"ok"}
+    assert run.warning is not None and " times the noise of the sensor file" in run.warning
     sigma_n = run.table()[[f"force_sigma_{axis}_n" for axis in "xyz"]].to_numpy()[REST:]
     inside = np.abs(run.force_n[REST:] - forces) <= 1.96 * sigma_n
     assert np.count_nonzero(inside) >= 8  # of 9 components

@@ -183,9 +183,12 @@ class Menus(QObject):
         self._messages = self._dialog(menu, "&Messages…", MessagesDialog, window.messages)
         self._dialog(menu, "&Documentation…", PagesDialog, pages_folder(), keys="F1")
         self._add(menu, "&First steps", window.hint.show)
-        keys = lambda: ShortcutsDialog(window, self.shortcuts).show()  # noqa: E731
-        self._add(menu, "&Keyboard shortcuts…", keys, "Ctrl+?")
+        self._add(menu, "&Keyboard shortcuts…", self.show_shortcuts, "Ctrl+?")
         self._add(menu, "&About bubbleviz…", self._show_about)
+
+    def show_shortcuts(self) -> None:
+        """Show the keyboard shortcuts."""
+        ShortcutsDialog(self._window, self.shortcuts).open()
 
     def _show_about(self) -> None:
         about = QMessageBox(self._window)

@@ -8,7 +8,7 @@ from fakes import DentSource
 
 from bubbleviz.cli.command_line import main
 from bubbleviz.errors import InputError
-from bubbleviz.files import preset_names
+from bubbleviz.files import preset_names, presets_folder, read_toml
 from bubbleviz_ui.model.demand import needed_products
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import Settings
@@ -31,6 +31,13 @@ def test_every_shipped_scene_is_covered_by_these_tests():
     assert preset_names("scenes") == sorted(RUNS)
     said = " ".join(CliRunner().invoke(main, ["open", "--help"]).stdout.split())
     assert f"Scene preset: {', '.join(sorted(RUNS))}." in said
+
+
+def test_scene_files_have_a_title_and_fields_of_the_settings():
+    """A misspelt one would have no effect."""
+    for name in RUNS:
+        read = read_toml(presets_folder("scenes") / f"{name}.toml")
+        assert "title" in read and read.keys() - {"title"} <= Settings.group("scene"), name
 
 
 def test_scenes_show_their_panels_and_layers_and_run_no_other_stages(drive):

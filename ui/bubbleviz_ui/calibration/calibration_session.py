@@ -145,10 +145,9 @@ class Calibration(QObject):
     def settings(self) -> Settings:
         return self.work.settings
 
-    def edit(self, text: str, *, dragged: bool = False, **changes: Any) -> None:
-        """Change settings by name, as an undo step; `dragged`: one step for all of a gesture."""
+    def edit(self, text: str, gesture: Hashable = None, **changes: Any) -> None:
+        """Change settings by name, as an undo step; those of one gesture are one step."""
         new = replace(self.work, settings=replace(self.settings, **changes))
-        gesture = (text, self.undo.current_gesture()) if dragged else None
         self._push(text, new, gesture)
 
     def use_collected(self, frames: HeldFrames, settings: Settings) -> None:

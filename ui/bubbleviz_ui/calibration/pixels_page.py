@@ -62,11 +62,11 @@ class PixelsPage(Page):
         form.addRow("Maximum deviation", self.deviations)
         fill(self.column, self.view, form, self.numbers, 1)
         self.picture.currentIndexChanged.connect(lambda _: self._show_picture(calibration.answer))
-        self.validity.changed = lambda v: calibration.edit(
-            "Validity threshold", dragged=True, min_validity=v or None
+        self.validity.changed = lambda v, gesture: calibration.edit(
+            "Validity threshold", gesture, min_validity=v or None
         )
-        self.deviations.changed = lambda v: calibration.edit(
-            "Deviation threshold", dragged=True, deviations=max(v, 0.1)
+        self.deviations.changed = lambda v, gesture: calibration.edit(
+            "Deviation threshold", gesture, deviations=max(v, 0.1)
         )
 
     def show_answer(self, answer: Answer) -> None:
@@ -116,7 +116,8 @@ class Threshold(QHBoxLayout):
     def __init__(self, unit: Unit, highest_si: float, tip: str, lowest_text: str = "") -> None:
         super().__init__()
         self._unit, self._highest = unit, highest_si
-        self.changed: Callable[[float], None] = lambda value: None
+        self._drags = 0
+        self.changed: Callable[[float, object], None] = lambda value, gesture: None
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, self.STEPS)
         self.box = QDoubleSpinBox()
@@ -128,14 +129,22 @@ class Threshold(QHBoxLayout):
         for part, stretch in ((self.slider, 1), (self.box, 0)):
             part.setToolTip(tip)
             self.addWidget(part, stretch)
-        self.slider.valueChanged.connect(lambda n: self.changed(n / self.STEPS * highest_si))
-        self.box.valueChanged.connect(lambda shown: self.changed(unit.to_si(shown)))
+        self.slider.sliderPressed.connect(self._begin_drag)
+        self.slider.valueChanged.connect(self._on_slider)
+        self.box.valueChanged.connect(lambda shown: self.changed(unit.to_si(shown), None))
 
     def show_value(self, value_si: float) -> None:
         with QSignalBlocker(self.slider), QSignalBlocker(self.box):
             if not self.slider.isSliderDown():
                 self.slider.setValue(round(value_si / self._highest * self.STEPS))
             self.box.setValue(self._unit.from_si(value_si))
+
+    def _begin_drag(self) -> None:
+        self._drags += 1
+
+    def _on_slider(self, place: int) -> None:
+        gesture = (id(self), self._drags) if self.slider.isSliderDown() else None
+        self.changed(place / self.STEPS * self._highest, gesture)
 
 
 # Step 3: the reference surface, chosen automatically or by the user.

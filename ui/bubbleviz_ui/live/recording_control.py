@@ -47,8 +47,11 @@ class Recording(QObject):
         """Stop recording; everything received so far is written."""
         recorder, self._recorder, self.busy = self._recorder, None, False
         if recorder is not None:
-            stop = lambda: recorder.stop() if recorder.recording else None  # noqa: E731
-            self._worker.submit(stop, self._on_stopped, self._on_broken)
+            self._worker.submit(
+                lambda: recorder.stop() if recorder.recording else None,
+                self._on_stopped,
+                self._on_broken,
+            )
             self.changed.emit()
 
     def mark(self, text: str, at_ns: int | None = None) -> None:

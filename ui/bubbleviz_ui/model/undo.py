@@ -175,10 +175,9 @@ class UndoRecorder:
                 if not (self._parts[part].continuous and (_is_number(a) or _is_number(b))):
                     return None
                 numbers.add(path)
-        return frozenset(numbers), self.current_gesture()
+        return frozenset(numbers), self._current_gesture()
 
-    def current_gesture(self) -> int:
-        """Number of the gesture of a change made now."""
+    def _current_gesture(self) -> int:
         now = time.monotonic()
         button_down = QGuiApplication.mouseButtons() != Qt.MouseButton.NoButton
         if not button_down and now - self._changed_s > GESTURE_S:

@@ -200,8 +200,9 @@ class LinesLayer(Layer):
     def draw(self, picture: Picture) -> None:
         """Draw the lines, if there are any."""
         lines = self.lines(picture)
-        for segments, ends in zip(self._lines, lines, strict=False):
-            segments.draw(ends)
+        if lines:
+            for segments, ends in zip(self._lines, lines, strict=True):
+                segments.draw(ends)
         self._set_drawn(bool(lines))
 
     def lines(self, picture: Picture) -> Sequence[np.ndarray]:
