@@ -44,9 +44,9 @@ frame, and the first pose of an object has converged. At two thirds of the longe
 the derivatives is less than half."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
-_AS_LIKELY = 12.6
-"""Misfit in units of the noise, squared, by which that of the true pose exceeds the smallest one in
-one of 20 cases: χ² of six degrees of freedom."""
+_AS_LIKELY = 2.0 * np.log(20.0)
+"""Difference of misfits, in units of the noise, squared, at which one of two poses is 20 times as
+likely as the other, which is then refuted."""
 
 
 class Solution(NamedTuple):
@@ -121,7 +121,12 @@ class Solver:
         return Solution(pose, fit, motion)
 
     def best(
-        self, frame: Frame, contact: ContactPoints, starts: np.ndarray, finalists: int
+        self,
+        frame: Frame,
+        contact: ContactPoints,
+        starts: np.ndarray,
+        finalists: int,
+        known: Solution | None = None,  # kept unless another is more likely
     ) -> Solution | None:
         """Both stages from the best of initial poses (s, 4, 4); None if none fits.
 
@@ -133,6 +138,8 @@ class Solver:
             for motion in motions
         ]
         coarse.sort(key=lambda fit: fit.cost)
+        if known is not None and coarse[0].cost > known.fit.cost - _AS_LIKELY:
+            finalists = 0
         found = [
             (
                 fit.cost,
@@ -146,6 +153,8 @@ class Solver:
             for fit in coarse[:finalists]
         ]
         good = [pair for pair in found if pair[1].fit.fitness >= _FOUND_FITNESS]
+        if known is not None:
+            good.append((known.fit.cost, known))
         if not good:
             return None
         before, best = min(good, key=lambda pair: pair[1].fit.cost)

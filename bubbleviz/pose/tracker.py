@@ -3,16 +3,23 @@
 The object is lost if too little of the patch lies on it, if it would have moved faster than
 hands and robots do, and while there is no contact. Then the last good pose is kept, and every frame
 tries a few more initial poses, so that no frame waits for the search.
+
+A light contact fits many poses. An object that was found by search is compared with the initial
+poses not tried yet, and with those that fit as well, until they are refuted; while some are untried
+and the contact contradicts the pose, it is reported as lost.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.special import chdtri
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, RubberMembrane
-from bubbleviz.pose.dual_stage import InitialPoseFinder, Solution, Solver
+from bubbleviz.pose.dual_stage import TURNS, InitialPoseFinder, Solution, Solver
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
@@ -25,6 +32,8 @@ _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a frame, few so that no frame waits for the search, and in a first one."""
 _FINALISTS_AT_FIRST = 2  # the best of these, which are refined
+_UNLIKELY = 0.05  # share of true poses whose misfit counts as a contradiction
+_SAME = 1.0 + 2.0 * np.cos(np.pi / TURNS)  # trace of a turn by half the angle between starts
 _LARGEST = 20.0
 """Size of an object relative to the bubble beyond which the units differ."""
 
@@ -49,16 +58,18 @@ class PoseTracker:
         registration = Registration(self.model, precision_of(estimator))
         self._solver = Solver(registration, estimator, membrane)
         self._finder = InitialPoseFinder(self.model)
-        self._mesh = estimator.mesh
+        self._mesh, self._resolution_m = estimator.mesh, estimator.resolution_m
         self.reset(start)
 
     def reset(self, start: np.ndarray | None = None) -> None:
         """Reset; start at T_B_O (4, 4), or search if None."""
         self._solver.reset()
         self._start = start
-        self._motion: Motion | None = None  # by the last good pose
+        self._motion: Motion | None = None  # of the last frame with a fit
+        self._good = np.full((4, 4), np.nan)  # pose last reported
         self._good_s, self._good_center, self._tried = 0.0, np.zeros(3), 0
-        self._waiting, self._waiting_at = np.zeros((0, 4, 4)), np.zeros(3)
+        self._waiting = self._rivals = np.zeros((0, 4, 4))  # not tried yet; that fit as well
+        self._waiting_at = np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
         """Pose in a frame with its estimate and patch."""
@@ -76,6 +87,9 @@ class PoseTracker:
             solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
             if not self._plausible(solution, frame, contact):
                 solution = None
+            elif len(self._waiting) or len(self._rivals):
+                starts = self._next_starts(contact)
+                solution = self._solver.best(frame, contact, starts, 1, known=solution)
         if solution is None and (self._motion is not None or self._start is None):
             solution = self._searched(frame, contact)
         if solution is None:
@@ -107,6 +121,8 @@ class PoseTracker:
     def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
         """The best of a few initial poses; the next frame tries others."""
         if self._motion is not None and self._tried <= 1:
+            self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
+            self._rivals = self._rivals[:0]
             chosen = np.stack([self._motion.T_B_O] * 2)
             chosen[1, :3, 3] += contact.center - self._good_center
         else:
@@ -116,27 +132,36 @@ class PoseTracker:
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
-        """Initial poses not tried yet; more in the first frame."""
-        if not len(self._waiting):
+        """Two of the poses that fit as well, and some not tried yet, more in the first frame."""
+        if not len(self._waiting) and not len(self._rivals):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._motion is None and self._tried == 0
         count = _STARTS_AT_FIRST if first else _STARTS_PER_FRAME
-        chosen, self._waiting = self._waiting[:count].copy(), self._waiting[count:]
-        chosen[:, :3, 3] += contact.center - self._waiting_at
+        for poses in (self._waiting, self._rivals):
+            poses[:, :3, 3] += contact.center - self._waiting_at
+        self._waiting_at = contact.center
+        chosen = np.concatenate([self._rivals[:2], self._waiting[:count]])
+        self._rivals, self._waiting = self._rivals[2:], self._waiting[count:]
         return chosen
 
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion, self._good_s = solution.motion, frame.time_s
         self._good_center, self._tried = contact.center, 0
-        self._waiting = self._waiting[:0]
-        return solution.pose
+        for other in solution.pose.others:
+            if not any(np.trace(other[:3, :3].T @ each[:3, :3]) > _SAME for each in self._rivals):
+                self._rivals = np.concatenate([self._rivals, other[None]])
+        squares = contact.areas_m2.sum() / self._resolution_m**2  # with independent errors
+        if len(self._waiting) and solution.fit.cost > chdtri(squares, _UNLIKELY):
+            return Pose("lost", self._good)
+        self._good = solution.pose.T_B_O
+        return replace(solution.pose, others=self._rivals.copy())
 
     def _without(self, frame: Frame, why: PoseStatus) -> Pose:
         """Result of a frame without a new pose; the last good one is kept."""
         if self._motion is None:
-            return Pose(why, np.full((4, 4), np.nan))
+            return Pose(why, self._good)
         self._tried = max(self._tried, 1)
-        return Pose("lost", self._motion.T_B_O)
+        return Pose("lost", self._good)
 
 
 def precision_of(estimator: Estimator) -> Precision:

@@ -143,6 +143,27 @@ def test_a_search_tells_the_other_poses_that_fit_as_well(pipeline, sensor):
     assert any(abs(each[2, 2]) > np.cos(np.radians(5.0)) for each in pose.others)  # the true face
 
 
+@pytest.mark.parametrize(("first_m", "found"), [(1e-3, True), (3e-3, False)])
+def test_a_pose_that_only_a_light_contact_fits_is_replaced_or_lost(
+    pipeline, sensor, first_m, found
+):
+    """A first touch of one leg of a bracket fits many poses; the press of both does not."""
+    plate = trimesh.creation.box((0.026, 0.010, 0.006))
+    wide = trimesh.creation.box((0.006, 0.020, 0.012)).apply_translation((-0.010, 0.005, -0.009))
+    thin = trimesh.creation.box((0.005, 0.005, 0.012)).apply_translation((0.0105, -0.0025, -0.009))
+    mesh = trimesh.util.concatenate([plate, wide, thin])
+    bracket = RigidObject("bracket", np.array(mesh.vertices), np.array(mesh.faces))
+    path = np.repeat((turned("z", 25.0) @ turned("y", 8.0))[None], 9, axis=0)
+    depth = np.minimum(first_m + 2e-3 * np.arange(9), 11e-3)
+    path[:, 2, 3] = touching_height(bracket, path[0], build_mesh(sensor)) - depth
+    pressed = SyntheticSource(sensor, bracket, path, DepthNoise(relative=0.002), nodes=4_000)
+    pipeline.track(bracket)
+    poses = [pipeline.process(pressed[k], PRODUCTS).pose for k in range(9)]
+    assert any(len(pose.others) and not close(pose, T) for pose, T in zip(poses, path, strict=True))
+    assert poses[-1].status == "ok" or not found
+    assert poses[-1].status == "lost" or close(poses[-1], path[-1])
+
+
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, 0.2, 0.5), None])
 def test_turn_of_a_resting_ball_stays_unknown(pipeline, sensor, turn):
     """Only its centre is determined, whatever the facets of its mesh."""
