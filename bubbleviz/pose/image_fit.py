@@ -145,12 +145,12 @@ class ImageFit:
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
         # Model errors are independent between areas of the size of the estimate's resolution: of
         # the membrane's position, and of the radius at which it leaves the object's edges.
-        position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
+        by_position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
         pulls = (J[:, :6] - J[:, 6:] @ gain.T) * (weight * predicted.rounding[valid])[:, None]
         square = predicted.square[valid]
-        radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in pulls.T])
+        by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in pulls.T])
         covariance = np.linalg.inv(information + START_INFORMATION)
-        persistent = position * covariance + covariance @ radius @ radius.T @ covariance
+        persistent = by_position * covariance + covariance @ by_radius @ by_radius.T @ covariance
         return ImageStep(information, g, persistent)
 
     def predicted(

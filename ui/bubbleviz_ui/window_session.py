@@ -77,7 +77,7 @@ class WindowSession:
         # before the solver thread: VTK and Open3D share modules, and importing them in two threads
         # at the same time can deadlock
         self.window = MainWindow(state, self.controller, quality)
-        self._last = SavedSession()  # Of the user
+        self._last = SavedSession()  # The user's
         self._shown = False  # Before its source is open
 
     def start(

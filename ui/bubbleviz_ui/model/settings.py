@@ -249,9 +249,8 @@ class Settings(_SettingsBase):
     )  # fmt: skip
     # Direction in B from the middle of the membrane to the initial viewpoint
     view_from: tuple[float, float, float] = _setting((-0.6, -1.0, 1.1), "scene", groups="scene")
-    zoom: float = _setting(
-        1.32, "scene", groups="scene"
-    )  # 1: bounding box of the membrane fills the view
+    # 1: bounding box of the membrane fills the view
+    zoom: float = _setting(1.32, "scene", groups="scene")
     colour_map: ColourMap = _setting(
         "inferno",
         "Colours",

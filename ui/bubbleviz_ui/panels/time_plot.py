@@ -31,7 +31,7 @@ LIVE_WINDOW_S, AHEAD_S = 20.0, 0.2
 
 
 class FramePlot(Plot):
-    """A plot of the plots panel."""
+    """A plot that is drawn from the frames: in the plots panel, or in the one of the threshold."""
 
     def show_all(self) -> None:
         """Show the full range of the time axis, if there is one."""

@@ -46,9 +46,8 @@ class Callout:
         view.renderer.AddViewProp(self._text)
         self._marks = [self._line, add_mark(view, self._dots, **dots)]
         self.actors = [*self._marks, self._text]
-        self.write: Callable[[], None] = (
-            self.hide
-        )  # Shows the same again, in the current units and theme
+        # Shows the same again, in the current units and theme
+        self.write: Callable[[], None] = self.hide
         view.follow_theme(lambda _: self.write())
 
     def hide(self) -> None:
