@@ -158,7 +158,8 @@ class Solver:
         if not good:
             return None
         before, best = min(good, key=lambda pair: pair[1].fit.cost)
-        likely = [one.fit for _, one in good if one.fit.cost < best.fit.cost + _AS_LIKELY]
+        rest = (one.fit for _, one in good if one is not best)
+        likely = [fit for fit in rest if fit.cost < best.fit.cost + _AS_LIKELY]
         likely += [
             fit
             for fit in coarse[finalists:]
@@ -228,12 +229,12 @@ def looking_different(
     """
     kept = [T_B_O]
     for other in others:
-        if not any(_looks_alike(model, known[:3, :3].T @ other[:3, :3]) for known in kept):
+        if not any(looks_alike(model, known[:3, :3].T @ other[:3, :3]) for known in kept):
             kept.append(other)
     return np.array(kept[1:]).reshape(-1, 4, 4)
 
 
-def _looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
+def looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
     """Whether a turn (3, 3), or one by less than half the angle between starts away, is a symmetry.
 
     Points of the turned surface are registered to it, by rotation alone.

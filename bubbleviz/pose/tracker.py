@@ -19,7 +19,7 @@ from scipy.special import chdtri
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, RubberMembrane
-from bubbleviz.pose.dual_stage import TURNS, InitialPoseFinder, Solution, Solver
+from bubbleviz.pose.dual_stage import TURNS, InitialPoseFinder, Solution, Solver, looks_alike
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
@@ -68,7 +68,8 @@ class PoseTracker:
         self._motion: Motion | None = None  # of the last frame with a fit
         self._good = np.full((4, 4), np.nan)  # pose last reported
         self._good_s, self._good_center, self._tried = 0.0, np.zeros(3), 0
-        self._waiting = self._rivals = np.zeros((0, 4, 4))  # not tried yet; that fit as well
+        # not tried yet; that fit as well; those of the latter that this frame compares
+        self._waiting = self._rivals = self._compared = np.zeros((0, 4, 4))
         self._waiting_at = np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
@@ -132,7 +133,7 @@ class PoseTracker:
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
-        """Two of the poses that fit as well, and some not tried yet, more in the first frame."""
+        """One or two of the poses that fit as well, and some not tried yet, more at first."""
         if not len(self._waiting) and not len(self._rivals):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._motion is None and self._tried == 0
@@ -140,21 +141,30 @@ class PoseTracker:
         for poses in (self._waiting, self._rivals):
             poses[:, :3, 3] += contact.center - self._waiting_at
         self._waiting_at = contact.center
-        chosen = np.concatenate([self._rivals[:2], self._waiting[:count]])
-        self._rivals, self._waiting = self._rivals[2:], self._waiting[count:]
-        return chosen
+        rivals = 2 if len(self._waiting) else 1
+        self._compared, self._rivals = self._rivals[:rivals], self._rivals[rivals:]
+        chosen, self._waiting = self._waiting[:count], self._waiting[count:]
+        return np.concatenate([self._compared, chosen])
 
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion, self._good_s = solution.motion, frame.time_s
         self._good_center, self._tried = contact.center, 0
         for other in solution.pose.others:
-            if not any(np.trace(other[:3, :3].T @ each[:3, :3]) > _SAME for each in self._rivals):
+            if self._is_known(other) or self._looks_new(other):
                 self._rivals = np.concatenate([self._rivals, other[None]])
         squares = contact.areas_m2.sum() / self._resolution_m**2  # with independent errors
         if len(self._waiting) and solution.fit.cost > chdtri(squares, _UNLIKELY):
             return Pose("lost", self._good)
         self._good = solution.pose.T_B_O
         return replace(solution.pose, others=self._rivals.copy())
+
+    def _is_known(self, other: np.ndarray) -> bool:
+        """Whether it is one of those compared in this frame, after registration."""
+        return any(np.trace(other[:3, :3].T @ each[:3, :3]) > _SAME for each in self._compared)
+
+    def _looks_new(self, other: np.ndarray) -> bool:
+        turns = (each[:3, :3].T @ other[:3, :3] for each in self._rivals)
+        return not any(looks_alike(self.model, turn) for turn in turns)
 
     def _without(self, frame: Frame, why: PoseStatus) -> Pose:
         """Result of a frame without a new pose; the last good one is kept."""
