@@ -1,5 +1,7 @@
 """A small sensor and short recordings of a cylinder pressed into it, fast to solve."""
 
+from functools import cache
+
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.files import parse_pose
 from bubbleviz.recordings import RecordingWriter
@@ -17,6 +19,13 @@ def coarser(sensor, times):
     width, height = own.width // times, round(own.height / times)
     center = {"cx": 0.5 * (width - 1), "cy": 0.5 * (height - 1)}
     return {"width": width, "height": height, "fx": own.fx / times, "fy": own.fy / times, **center}
+
+
+@cache
+def rubber_dome():
+    """A rubber dome, seen by a camera of a quarter of the pixels."""
+    given = load_sensor("pico_flexx_75mm")
+    return changed(given, membrane={"nodes": 400, "prestretch": 1.2}, camera=coarser(given, 2))
 
 
 def write_small_sensor(path):

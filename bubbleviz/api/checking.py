@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from bubbleviz.api.estimating import Recorded, SensorName, as_frames, sensor_for
@@ -27,10 +27,6 @@ class CheckSummary(SensorCheck, Summary):
     recording: str = ""
     sensor: str = ""
     warning: str | None = None  # missing parts of the recording, or a choice made in it
-
-    def facts(self) -> dict[str, Any]:
-        """Verdict, and for each quantity its value, interval, limit, unit and remedy."""
-        return asdict(self)
 
 
 def check(

@@ -13,25 +13,19 @@ from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import touching_height
 from bubbleviz.zeros import zeros_of
-from tests.small_press import changed, coarser
+from tests.small_press import changed, rubber_dome
 
 REST, RELATIVE, WIDTH_PX = 20, 0.01, 2.0
 DEPTHS_M = 0.006, 0.010, 0.014
 
 
 @cache
-def sensor():
-    given = bv.load_sensor("pico_flexx_75mm")
-    return changed(given, membrane={"nodes": 400, "prestretch": 1.2}, camera=coarser(given, 2))
-
-
-@cache
 def exact():
     """The membrane at rest and pressed by a ball ever deeper, without noise; the ball's forces."""
-    poses, pipeline = np.tile(np.eye(4), (1 + len(DEPTHS_M), 1, 1)), Pipeline.of(sensor())
+    poses, pipeline = np.tile(np.eye(4), (1 + len(DEPTHS_M), 1, 1)), Pipeline.of(rubber_dome())
     top = touching_height(load_object("sphere"), poses[0], pipeline.mesh)
     poses[:, 2, 3] = top - np.array([-0.02, *DEPTHS_M])
-    simulation = bv.simulate(sensor(), "sphere", poses)
+    simulation = bv.simulate(rubber_dome(), "sphere", poses)
     return list(simulation), [simulation.truth(k).force_n for k in range(1, len(poses))]
 
 
@@ -53,7 +47,7 @@ def recording(width_px=WIDTH_PX):
 
 def test_frames_of_a_recording_without_contact_have_none():
     frames, forces = recording()
-    run = bv.estimate(frames, sensor())
+    run = bv.estimate(frames, rubber_dome())
     assert set(run.status[:REST]) == {"no_contact"}
     assert set(run.status[REST:]) == {"ok"}
     assert run.warning is not None and " times the noise of the sensor file" in run.warning
@@ -63,7 +57,7 @@ def test_frames_of_a_recording_without_contact_have_none():
 
 
 def test_later_frames_of_a_stream_without_contact_have_none():
-    estimator, rest = bv.Estimator(sensor()), exact()[0][0]
+    estimator, rest = bv.Estimator(rubber_dome()), exact()[0][0]
     found = [estimator.update(noisy(rest, k)).status for k in range(100, 200)]
     assert found[REST:].count("no_contact") >= 99 - REST  # false ones are rare
 
@@ -71,7 +65,7 @@ def test_later_frames_of_a_stream_without_contact_have_none():
 @pytest.mark.parametrize("width_px", [0.0, WIDTH_PX])
 def test_the_noise_of_a_recording(width_px):
     """Independent samples of filtered noise are as large as 4π widths squared."""
-    zeros = zeros_of(HeldFrames(recording(width_px)[0]), Pipeline.of(sensor()))
+    zeros = zeros_of(HeldFrames(recording(width_px)[0]), Pipeline.of(rubber_dome()))
     expected = max(1.0, np.sqrt(4.0 * np.pi) * width_px)
     assert zeros.applied(exact()[0][0]).noise == pytest.approx(expected, rel=0.3)
 
@@ -79,6 +73,6 @@ def test_the_noise_of_a_recording(width_px):
 def test_presses_are_no_noise():
     """They change an image smoothly, not as noise does."""
     rest, *pressed = exact()[0]
-    precise = changed(sensor(), camera={"noise_relative": 0.1 * RELATIVE})
+    precise = changed(rubber_dome(), camera={"noise_relative": 0.1 * RELATIVE})
     frames = [noisy(frame, k, 0.0, 0.1 * RELATIVE) for k, frame in enumerate([rest] * 10 + pressed)]
     assert zeros_of(HeldFrames(frames), Pipeline.of(precise)).gas.frames == 10

@@ -15,33 +15,26 @@ from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, touching_height
 from bubbleviz.zeros import zeros_of
-from tests.small_press import changed, coarser
+from tests.small_press import rubber_dome
 
 REST, HELD = 20, 4
 SEEDS = range(4)
 
 
 @cache
-def sensor():
-    """A rubber dome, seen by a camera of a quarter of the pixels."""
-    given = bv.load_sensor("pico_flexx_75mm")
-    return changed(given, membrane={"nodes": 400, "prestretch": 1.2}, camera=coarser(given, 2))
-
-
-@cache
 def shown():
     """The membrane at rest and with a ball in it, without noise; the ball's force."""
     poses = np.tile(np.eye(4), (2, 1, 1))
-    top = touching_height(load_object("sphere"), poses[0], build_mesh(sensor()))
+    top = touching_height(load_object("sphere"), poses[0], build_mesh(rubber_dome()))
     poses[:, 2, 3] = top + 0.02, top - 0.006
-    simulation = bv.simulate(sensor(), "sphere", poses)
+    simulation = bv.simulate(rubber_dome(), "sphere", poses)
     return [simulation[0], simulation[1]], simulation.truth(1).force_n
 
 
 @cache
 def press(seed):
     """Frames without contact, then of a ball that is held, at 1 % of noise; and its force."""
-    camera, noise, frames = DepthCamera.of(sensor().camera), DepthNoise(relative=0.01), []
+    camera, noise, frames = DepthCamera.of(rubber_dome().camera), DepthNoise(relative=0.01), []
     exact, force_n = shown()
     for k in range(REST + HELD):
         frame = exact[int(k >= REST)]
@@ -58,7 +51,7 @@ def shifted(frame, offset_m, scale=0.0):
 
 def solved(frames):
     """Results of the last frames."""
-    estimator = bv.Estimator(sensor())
+    estimator = bv.Estimator(rubber_dome())
     return [estimator.update(frame) for frame in frames][-HELD:]
 
 
@@ -100,7 +93,7 @@ def test_a_camera_that_moves_during_contact(offset_m):
 @pytest.mark.parametrize("offset_m", [-5e-4, 5e-4])
 def test_a_camera_that_moves_is_not_contact(offset_m):
     frames, _ = press(0)
-    estimator = bv.Estimator(sensor())
+    estimator = bv.Estimator(rubber_dome())
     for k, frame in enumerate(frames[:REST]):
         assert estimator.update(shifted(frame, offset_m * (k >= 17))).status == "no_contact"
 
@@ -115,7 +108,7 @@ def test_a_drift_of_the_camera_outlasts_the_contact(returns):
         replace(frame, depth_m=frame.depth_m + np.float32(offset))
         for frame, offset in zip([*frames, *after], offset_m, strict=True)
     ]
-    warning = bv.estimate(moved, sensor()).warning
+    warning = bv.estimate(moved, rubber_dome()).warning
     assert f"{HELD} frames with contact contradicts that" in warning
     assert "shape or rubber of the membrane differ from the sensor file" in warning
     assert ("Let the camera warm up" in warning) is not returns
@@ -123,8 +116,8 @@ def test_a_drift_of_the_camera_outlasts_the_contact(returns):
 
 def test_a_recording_and_its_frames_one_by_one_have_the_same_force():
     frames, _ = press(0)
-    run = bv.estimate(frames, sensor())
-    estimator = bv.Estimator(sensor())
+    run = bv.estimate(frames, rubber_dome())
+    estimator = bv.Estimator(rubber_dome())
     for frame, force_n in zip(frames, run.force_n, strict=True):
         found = estimator.update(frame).force_n
         assert found == pytest.approx(force_n, abs=0.01 * max(np.linalg.norm(force_n), 1e-9))
@@ -133,7 +126,7 @@ def test_a_recording_and_its_frames_one_by_one_have_the_same_force():
 @pytest.mark.parametrize("options", [EstimatorOptions(image_error=0.0), EstimatorOptions("paper")])
 def test_estimators_without_image_errors_know_none(options):
     frames, _ = press(0)
-    pipeline = Pipeline.of(sensor(), options=options)
+    pipeline = Pipeline.of(rubber_dome(), options=options)
     zeros = zeros_of(HeldFrames(frames), pipeline)
     assert zeros.applied(frames[REST]).image_errors is None
 
@@ -141,7 +134,7 @@ def test_estimators_without_image_errors_know_none(options):
 @pytest.mark.parametrize("noise", [1.0, 2.0])
 def test_frames_without_contact_of_a_noisier_camera(noise):
     """Its images tell less; what is known of them contains the truth."""
-    pipeline, rng = Pipeline.of(sensor()), np.random.default_rng(0)
+    pipeline, rng = Pipeline.of(rubber_dome()), np.random.default_rng(0)
     frames, _ = press(0)
     rest = [
         replace(f, depth_m=(f.depth_m + noise * 1e-3 * rng.normal(size=f.depth_m.shape)))
