@@ -81,6 +81,8 @@ def test_search_finds_the_best_of_several_matches():
     names = ["Playback › Play / pause", "Playback › Last frame", "View › Plots", "File › Quit"]
     assert ranked("pp", names)[0] == "Playback › Play / pause"
     assert ranked("plots", names) == ["View › Plots"]
+    poses = ["View › Reset pose", "View › Scene › Pose", "View › Pose"]
+    assert ranked("Pose", poses)[0] == "View › Pose"
     assert ranked("", names) == names
     for query in ("ab", "aba", "abab", "c", "cb"):
         for text in ("a bab abc", "abab", "b a ba", "cab b", "aa bb aab"):

@@ -38,12 +38,14 @@ def spread(query: str, text: str) -> int | None:
 
 
 def ranked(query: str, paths: list[str]) -> list[str]:
-    """Paths with these letters, best first; equal ones in the given order.
+    """Paths with these letters, best first, of equal ones the shortest; without letters all paths.
 
     Words and beginnings of words rank before scattered letters, an item's own name before its path.
     """
+    if not query:
+        return paths
     found = [path for path in paths if spread(query, path) is not None]
-    return sorted(found, key=lambda path: _rank(query.lower(), path))
+    return sorted(found, key=lambda path: (*_rank(query.lower(), path), len(path)))
 
 
 def _rank(query: str, path: str) -> tuple[int, int]:
