@@ -255,11 +255,11 @@ class PressureZero:
         if self.frozen:
             return "gas pressure zero: none, as the recorded pressure never changes; it is not used"
         if self.offset_pa is None:
-            causes = "the weather" if self.sigma_pa == WEATHER_SIGMA_PA else "weather and altitude"
+            causes = "weather" if self.sigma_pa == WEATHER_SIGMA_PA else "weather and altitude"
             return (
-                f"gas pressure zero: unknown without {MIN_FRAMES} contact-free frames in a row "
-                f"that fit the sensor file, so within ±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa by "
-                f"{causes} (95 %)"
+                f"gas pressure zero: unknown (±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa of "
+                f"{causes}, 95 %), as fewer than {MIN_FRAMES} contact-free frames in a row fit the "
+                "sensor file"
             )
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 

@@ -20,7 +20,7 @@ def connect(
     Parameters
     ----------
     source : str
-        `zenoh:tcp/HOST:7447` (ROS 2 messages, no ROS here), `realsense:[serial]`, `replay:REC`,
+        `zenoh:tcp/HOST:7447` (ROS 2 messages, without ROS), `realsense:[serial]`, `replay:REC`,
         `synthetic:[object]`, each with options, `scheme:place?option=value&…`.
     sensor : str, path or Sensor
         Sensor file or preset; `auto` waits for the first image and takes the preset of its size.

@@ -49,7 +49,7 @@ SensorName = str | Path | Sensor
 Recorded = Sequence[Frame] | str | Path
 """Frames, or the path of a recording."""
 _LINEAR_MODEL = (
-    "linear, as the sensor file has no prestretch: of rubber, deep presses are overstated, "
+    "linear, as the sensor file has no prestretch: deep presses into rubber are overstated, "
     "typically by 24 %"
 )
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
@@ -113,8 +113,7 @@ def estimate(
 ) -> FrameResult | Run | Iterator[FrameResult]:
     """Estimate contact pressure, patch and force in every frame.
 
-    By Eq. 23, or the exact membrane. Each frame is warm-started from the solution of the previous
-    one.
+    Solves Eq. 23, or the exact membrane. Each frame starts from the solution of the previous one.
 
     Parameters
     ----------
@@ -126,7 +125,8 @@ def estimate(
         Sensor file or preset; `auto`: the preset whose camera has the images' size, or the
         stream's sensor.
     kappa : float, optional
-        Threshold of the patch over the mean contact pressure (V-C); automatic by default.
+        Threshold of the patch as a multiple of the mean contact pressure (section V-C of the
+        paper); automatic by default.
     solver : str, optional
         `rubber`: exact membrane, default if the sensor has a pre-stretch; `linear`: constant
         tension, default otherwise; `fast`: linear on a coarse mesh; `paper`: the paper's QP by
@@ -134,18 +134,18 @@ def estimate(
     friction : float, optional
         Expected coefficient of friction on the exact membrane, 1 by default; 0 for no friction.
     zero_gas : bool
-        Shift the measured gas pressure so that contact-free frames have that of the sensor file.
-        Without such frames the interval of the force includes the ±2 kPa of the weather, or ±10 kPa
-        if the file has the standard atmosphere. Otherwise it is used as measured.
+        Shift the measured gas pressure so that contact-free frames agree with the sensor file.
+        Without such frames the interval of the force includes ±2 kPa of weather, or ±10 kPa if the
+        file has the standard atmosphere. If off, the gas pressure is used as measured.
     shear : bool
-        Force by depth and colour images together, with friction at every node, and slip.
+        Estimate force, with friction at every node, and slip from depth and colour images together.
     colour_delay_s : float, optional
         Stamp of a colour image minus that of the depth image of the same scene, s; negative if
         colour leads depth. By default the sensor file's, else 0.
     out : path, optional
         Results of all frames, RESULT.npz, written frame by frame and then not kept in memory.
     csv : path, optional
-        Table with one row per frame, RESULT.csv, likewise.
+        Table with one row per frame, RESULT.csv, also written frame by frame.
     overwrite : bool
         Replace existing files.
     timeout_s : float, optional
@@ -483,12 +483,12 @@ _REASONS: dict[PoseStatus, str] = {
 
 
 def _other_poses(index: int, pose: Pose) -> str:
-    """What to do where other poses are as likely as the first one; empty where none is."""
+    """What to do if other poses are as likely as the one found; empty if there are none."""
     if not len(pose.others):
         return ""
     numbers = (" ".join(f"{each:.4f}" for each in pose_numbers(other)) for other in pose.others)
     return (
-        f"other poses fit frame {index}, where the object was searched, as well "
+        f"in frame {index}, where the object was searched for, other poses fit as well "
         f"({len(pose.others)} found): if the object is turned in the result, start from one of "
         f"them (--init): {', '.join(map(repr, numbers))}"
     )

@@ -75,9 +75,9 @@ class FrameWarnings:
         if not misfits or self._statuses["no_contact"]:
             return ""
         return (
-            f"{count_of(misfits, 'frame')} did not fit the sensor file, and no frame without "
-            "contact shows that it is right, so forces of the others may be wrong: run bubbleviz "
-            "check with contact-free frames"
+            f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free frame "
+            "confirms the file, so forces in the other frames may be wrong: run bubbleviz check "
+            "with contact-free frames"
         )
 
     def _noise_warning(self) -> str:
@@ -112,9 +112,9 @@ class FrameWarnings:
             cause += "or " if cause else ""
             remedy += "identify the sensor again"
             return (
-                f"depth in {count_of(self._moved, 'frame')} with contact contradicts that in the "
-                f"frames without: {cause}shape or rubber of the membrane differ from the sensor "
-                f"file; forces of these frames are less certain. {remedy[0].upper()}{remedy[1:]}"
+                f"depth in {count_of(self._moved, 'frame')} with contact contradicts depth in the "
+                f"contact-free ones: {cause}shape or rubber of the membrane differ from the sensor "
+                f"file; forces in these frames are less certain. {remedy[0].upper()}{remedy[1:]}"
             )
         estimator = self._pipeline.estimator
         by_offset, *_, by_scale = units = estimator.observer.image_errors.mean(axis=0)
@@ -130,7 +130,7 @@ class FrameWarnings:
             )
         return (
             f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
-            f"are corrected for a drift. {remedy}"
+            f"are corrected for drift. {remedy}"
         )
 
     def _friction_warning(self) -> str:
@@ -140,8 +140,8 @@ class FrameWarnings:
         return (
             f"friction in {count_of(self._frames_over, 'frame')} is at least "
             f"{self._most_friction:.2g} of the normal force, more than the expected coefficient of "
-            f"{self._pipeline.options.friction:.2g}, which makes its estimate too small: repeat "
-            "with a larger --friction"
+            f"{self._pipeline.options.friction:.2g}, so the estimate of friction is too small: "
+            "repeat with a larger --friction"
         )
 
     def _edge_warning(self) -> str:
@@ -150,7 +150,7 @@ class FrameWarnings:
             return ""
         return (
             f"the camera sees only a part of the contact in {count_of(self._partly_seen, 'frame')} "
-            f"({100 * self._least_seen:.0f} % of its area or more); the force on the unseen part "
+            f"(at least {100 * self._least_seen:.0f} % of its area); the force on the unseen part "
             "is inferred from the membrane around it and less certain. Press nearer to the middle "
             "of the image"
         )

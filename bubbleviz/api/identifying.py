@@ -193,13 +193,13 @@ def identify(
     levels : iterable of Frames or path
         Recordings of the untouched sensor at other inflation levels.
     level_sigma : float, optional
-        Standard deviation of gas pressure differences between recordings, Pa, by drift of the
-        sensor's zero and the weather. By default 1 % of the largest gauge pressure, as for silicon
+        Standard deviation of gas pressure differences between recordings, Pa, due to weather and
+        zero drift of the sensor. By default 1 % of the largest gauge pressure, as for silicon
         sensors with a total error band of ±1 to ±2 % of full scale.
     vented : Frames or path, optional
         Recording of the open chamber, for the atmospheric pressure.
     held_press : bool
-        Determine λ and gauge pressure from a press held still in `frames` if there are no levels.
+        Without levels, determine λ and gauge pressure from a press that is held still in `frames`.
     object : str, optional
         Known object pressed in `frames`, for validation: mesh file or preset.
     pose : str, optional

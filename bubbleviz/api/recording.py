@@ -73,8 +73,8 @@ def record(
 ) -> RecordSummary:
     """Record every message of a live source.
 
-    Until the duration is over, the source ends, or ^C. After a crash of the machine the file can be
-    opened up to the last second.
+    Runs until the duration is over, the source ends, or ^C. After a crash of the machine the file
+    can be opened up to the last second.
 
     Parameters
     ----------
@@ -204,8 +204,8 @@ def publish(
 ) -> PublishSummary:
     """Publish a source over Zenoh, as ROS 2 nodes would.
 
-    Every message, until the duration is over, the source ends, or ^C. Slow subscribers delay the
-    source; no message is lost.
+    Publishes every message until the duration is over, the source ends, or ^C. Slow subscribers
+    delay the source; no message is lost.
 
     Parameters
     ----------

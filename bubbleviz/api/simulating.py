@@ -110,7 +110,7 @@ def simulate(
 ) -> Simulation:
     """Simulate a rigid object pressed into a sensor.
 
-    By Eq. 16, or the exact membrane.
+    Solves Eq. 16, or the exact membrane.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def simulate(
     noise_sigma_m : float
         Noise: standard deviation of range, m.
     noise_relative : float
-        Noise: standard deviation of range divided by range; squares of both add.
+        Noise: standard deviation of range divided by range; the variances of both add.
     noise_correlation_px : float
         1/e distance of the noise's correlation, pixels; 0: white noise.
     holes : float
@@ -148,7 +148,7 @@ def simulate(
     twist_rad : float
         After press and drag, twist the object about its z axis, rad; needs 10 frames or more.
     texture : bool
-        Print a speckle on the membrane, and add colour images.
+        Print a speckle texture on the membrane, and add colour images.
 
     Returns
     -------

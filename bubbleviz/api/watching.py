@@ -177,8 +177,8 @@ def watch(
 ) -> WatchSummary:
     """Estimate a live source; publish or record the results.
 
-    Until the duration is over, the source ends, or ^C. With `shear`, start without contact: the
-    first colour images are the reference.
+    Runs until the duration is over, the source ends, or ^C. With `shear`, start without contact:
+    the first colour images are the reference.
 
     Parameters
     ----------

@@ -178,7 +178,7 @@ def open_chamber(source: FrameSource) -> Quantity:
     if len(known) < fewest:
         raise InputError(
             f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
-            f"{fewest} or more with the chamber open, or give no open chamber (--vented)"
+            f"{fewest} or more with the chamber open, or leave out the open chamber (--vented)"
         )
     name = f"the open-chamber recording {source.name}"
     return Quantity.normal(float(np.mean(known)), error_of_mean(known), name)
@@ -205,7 +205,7 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
         if vented is not None:
             raise InputError(
                 f"{name}: not every contact-free frame has a gas pressure, so {vented.source} does "
-                "not determine the gauge pressure; record it in all of them, or give no open "
+                "not determine the gauge pressure; record it in all of them, or leave out the open "
                 "chamber (--vented)"
             )
         if file_sigma is None:

@@ -53,7 +53,7 @@ def headline(found: Identification, pressure: PressureText = pascals) -> str:
     value, low, high = tension.possible().texts(2)
     return (
         f"{grade(found)}: γ0 = {value} N/m, 95 % interval {low} to {high} "
-        f"({_percent(tension.half_width / tension.value)} either way), at "
+        f"(±{_percent(tension.half_width / tension.value)}), at "
         f"{pressure(found.gauge.value)} gauge pressure"
     )
 

@@ -18,10 +18,10 @@ _CREDENTIALS = tuple(
     click.Option([f"--{name}"], metavar="FILE", help=text)
     for name, text in {
         "ca": "Certificate of the authority that signed the peer's certificate, for tls/HOST:PORT.",
-        "cert": "Own certificate, for tls/HOST:PORT.",
+        "cert": "Certificate of this computer, for tls/HOST:PORT.",
         "key": "Private key of --cert.",
-        "login": "File with lines user:password: the accounts that may connect (--listen), or "
-        "first the one to log in with (--connect).",
+        "login": "File with lines user:password. With --listen all of them may connect; with "
+        "--connect the first is used to log in.",
     }.items()
 )
 

@@ -103,7 +103,7 @@ def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -
         *others, last = filter(None, suffixes)
         folder = "" if last == suffixes[-1] else ", or give a folder"
         names = f"{', '.join(others)} or {last}" if others else last
-        raise InputError(f"{path}: not the name of this output; end it in {names}{folder}")
+        raise InputError(f"{path}: wrong suffix for this output; end it in {names}{folder}")
     try:
         exists, parent_exists = os.path.lexists(path), path.parent.is_dir()
     except (OSError, ValueError) as error:
@@ -116,8 +116,8 @@ def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -
             known = each.name in _WRITTEN_FOLDERS if each.is_dir() else suffix in _WRITTEN_SUFFIXES
             if not known:
                 raise InputError(
-                    f"{path}: {each.relative_to(path)} in it, which is no output of bubbleviz, "
-                    "would be deleted; move that away, or choose another folder"
+                    f"{path}: contains {each.relative_to(path)}, which bubbleviz did not write and "
+                    "would delete; move it elsewhere, or choose another folder"
                 )
     if not parent_exists:
         raise InputError(
@@ -128,9 +128,9 @@ def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -
 
 
 def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
-    """Raise InputError if an output would replace what is read, a recording in it, or its folder.
+    """Raise InputError if an output would replace an input, a recording in it, or its folder.
 
-    Each may be None, for none.
+    Any path may be None: no such file.
     """
     for each in read:
         if output is None or each is None:
@@ -139,7 +139,7 @@ def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
         inside = original in written.parents and written.suffix == ".mcap" and written.exists()
         if inside or written == original or written in original.parents:
             what = f"a recording in {each}" if inside else each
-            raise InputError(f"{output}: would replace {what}, which is read; choose another name")
+            raise InputError(f"{output}: would replace the input {what}; choose another name")
 
 
 def free_name(path: Path) -> Path:

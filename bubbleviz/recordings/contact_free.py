@@ -52,7 +52,7 @@ def find_contact_free(source: FrameSource, progress: Progress = quiet) -> Contac
     if end < MIN_FRAMES:
         what = "gas pressure" if ended_by == "pressure" else "depth"
         raise InputError(
-            f"{source.name}: the {what} changes already at frame {end} (from 0); record at least "
+            f"{source.name}: the {what} already changes at frame {end} (from 0); record at least "
             f"{MIN_FRAMES} frames before contact, or choose contact-free frames yourself"
         )
     return ContactFree(range(end), depth_score, pressure_score, ended_by)

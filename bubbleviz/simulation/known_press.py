@@ -140,7 +140,7 @@ class Validation:
             (
                 f"predicted membrane {1e3 * self.rms_m:.2f} mm rms from the measured points, the "
                 f"untouched one {1e3 * self.untouched_rms_m:.2f} mm (at most "
-                f"{100 * LARGEST_SHARE:.0f} % of that expected)",
+                f"{100 * LARGEST_SHARE:.0f} % of the latter expected)",
                 self.rms_m > LARGEST_SHARE * self.untouched_rms_m,
             ),
             (patches, not overlap >= LEAST_OVERLAP),

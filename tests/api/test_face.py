@@ -133,7 +133,7 @@ def test_a_slice_of_a_simulation_is_saved_alone(sensor, tmp_path):
 
 
 def test_summary_says_that_the_linear_model_overstates_rubber(frames, sensor, estimated):
-    assert "no prestretch: of rubber, deep presses are overstated" in estimated.to_text()
+    assert "no prestretch: deep presses into rubber are overstated" in estimated.to_text()
     rubber = changed(bv.load_sensor(sensor), membrane={"prestretch": 1.3})
     assert "prestretch" not in bv.estimate(frames[:1], rubber).to_text()
 

@@ -59,7 +59,7 @@ def test_contact_free_range_ends_at_the_first_change(source, end, ended_by):
 
 
 def test_a_recording_that_begins_with_a_contact_is_refused():
-    with pytest.raises(InputError, match="changes already at frame 4"):
+    with pytest.raises(InputError, match="already changes at frame 4"):
         find_contact_free(Plane(pressure_from=4))
 
 

@@ -333,7 +333,7 @@ def test_open_chamber_of_a_sensor_without_noise(found):
 
 
 def test_open_chamber_needs_gas_pressures(found, vented):
-    with pytest.raises(InputError, match="give no open chamber"):
+    with pytest.raises(InputError, match="leave out the open chamber"):
         opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
     with pytest.raises(InputError, match="chamber open"):
         open_chamber(Chamber([None] * 30))

@@ -79,7 +79,7 @@ def test_grade_follows_the_interval_unless_there_is_a_warning(ball, relative, fr
     assert grade(found) == expected
     line = headline(found)
     assert line.startswith(f"{expected}: γ0 = {ball.tension.value:.1f} N/m")
-    assert f"({100 * relative:.2g} % either way)" in line
+    assert f"(±{100 * relative:.2g} %)" in line
     few = any(f"Only {frames} contact-free frames" in line for line in advice(found))
     assert few is (frames < 30)
 

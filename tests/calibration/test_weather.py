@@ -83,7 +83,7 @@ def test_standard_atmosphere_leaves_the_altitude_open(twin, usual):
     nowhere = changed(sensor, pneumatics={"atmospheric_pressure_pa": 101_325.0})
     pipeline = Pipeline.of(nowhere)
     zero = zeros_of(HeldFrames(frames[REST:]), pipeline).gas
-    assert zero.offset_pa is None and "±10 kPa by weather and altitude" in zero.words
+    assert zero.offset_pa is None and "±10 kPa of weather and altitude" in zero.words
     for frame, before in zip(frames[REST:], usual[REST:], strict=True):
         estimate = pipeline.process(zero.applied(frame), frozenset({"estimate"})).estimate
         assert estimate.status == "ok"

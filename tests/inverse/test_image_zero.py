@@ -109,7 +109,7 @@ def test_a_drift_of_the_camera_outlasts_the_contact(returns):
         for frame, offset in zip([*frames, *after], offset_m, strict=True)
     ]
     warning = bv.estimate(moved, rubber_dome()).warning
-    assert f"{HELD} frames with contact contradicts that" in warning
+    assert f"{HELD} frames with contact contradicts depth" in warning
     assert "shape or rubber of the membrane differ from the sensor file" in warning
     assert ("Let the camera warm up" in warning) is not returns
 

@@ -50,7 +50,7 @@ def window(fresh: bool) -> int:
     "if colour leads depth. By default the sensor file's, else 0.",
 )
 @click.option(
-    "--frame", type=click.IntRange(0), help="Show this frame, the first is 0, and do not play."
+    "--frame", type=click.IntRange(0), help="Show this frame, counted from 0, and do not play."
 )
 @click.option(
     "--screenshot",
