@@ -1,9 +1,9 @@
-"""The contact pressure that explains the measurements of a frame, linearised at a shape.
+"""Contact pressure that explains the measurements of a frame, linearised at a shape.
 
     min  ½ ‖e − D (δ − S Δp) − R c‖²_W + ½ λ pᵀ L p + ½ cᵀ Σ⁻¹ c + τᵀ p   over p = p₀ + Δp ≥ 0
 
-with e the residual of the shape, in ranges and, where there is colour, in optical flow, D their
-derivative by the nodes and δ the motion to equilibrium under the present pressure p₀. The nuisance
+e is the residual of the shape, in ranges and, with colour, in optical flow, D their derivative by
+the node positions, and δ the motion to equilibrium under the present pressure p₀. The nuisance
 amplitudes c (errors of a measured gas pressure and of the whole image, friction of each contact)
 change the measurements by R c; they have a prior and are eliminated from the misfit. The problem is
 solved with the L1 term first, to find where there is contact, then without it on the support of
@@ -43,15 +43,15 @@ from bubbleviz.membrane import (
 #
 #     −min ½ pᵀHp + fᵀp + ½ ln det λL_SS − ½ ln det H_SS − β |∂S|,
 #
-# with H and f those of the debiased problem and |∂S| the mesh edges between S and the rest: of all
-# supports those with a short boundary are the likely ones. Nodes are exchanged one at a time, the
-# one that gains most first, until none gains.
+# with H and f of the debiased problem and |∂S| the number of mesh edges between S and the other
+# nodes: supports with a short boundary are more likely. Nodes are exchanged one at a time, the one
+# with the largest gain first, until no exchange gains.
 
 
 _BOUNDARY_COST = 0.5 * log(2.0)
 """β: a boundary has about two ways to continue at every node, and cuts two mesh edges there."""
 _MIN_GAIN = 1e-6
-"""Least gain of an exchange: rounding must not repeat one for ever."""
+"""Least gain of an exchange: rounding errors must not repeat an exchange forever."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class SupportProblem:
         return support, pivots, solved
 
     def _nonnegative(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
-        """Nodes of a support (c,) bool under pressure, pivots, and whether it converged."""
+        """Nodes (c,) bool of a support that are under pressure, pivots, and if it converged."""
         nodes = np.flatnonzero(support)
         H = part(self.hessian, nodes)
         p, pivots, solved = nonnegative_qp(H, self.linear[nodes], np.ones(len(nodes), bool))
@@ -119,7 +119,7 @@ class SupportProblem:
 
     def _gain(self, support: np.ndarray, posterior: np.ndarray, prior: np.ndarray) -> np.ndarray:
         """Gain of evidence by removing each node (c,) from the support or adding it."""
-        slope = posterior[:-1, -1]  # −p of the support, the gradient of the others
+        slope = posterior[:-1, -1]  # −p on the support, the gradient elsewhere
         precision, prior_precision = np.diag(posterior)[:-1], np.diag(prior)
         # Both are negative on the support; their signs differ by rounding only.
         valid = (prior_precision > 0.0) == (precision > 0.0)
@@ -133,8 +133,8 @@ class SupportProblem:
 class _SweepOperator:
     """Sweep operator: a symmetric matrix inverted for some of its unknowns, updated one by one.
 
-    Swept by a set S (Goodnight 1979), M becomes −M_SS⁻¹ there, the Schur complement among the
-    others, and M_SS⁻¹ M_S· between.
+    Swept by a set S (Goodnight 1979), M becomes −M_SS⁻¹ on S, the Schur complement on the other
+    unknowns, and M_SS⁻¹ M_S· between the two.
 
     Parameters
     ----------
@@ -174,14 +174,14 @@ class _SweepOperator:
 
 
 _COLD_SHARE = 0.05
-"""Share of the membrane's area in the first working set without a warm start. A number of nodes
-would be a small spot of a contact on a mesh that is fine there."""
+"""Share of the membrane's area in the first working set without a warm start. A fixed number of
+nodes would cover only a small part of a contact on a mesh that is fine there."""
 _GRADIENT_TOLERANCE = 1e-6
 """Negative gradient that counts as zero, relative to the largest."""
 
 
 TouchRule = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Support (n,) bool and the pressure on it → the part of it that may be contact."""
+"""Maps a support (n,) bool and the pressure on it to the part of it that may be contact."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def smoothness(mesh: MembraneMesh, weight: float) -> sparse.csr_array:
 
 @dataclass(frozen=True)
 class Selection:
-    """Support of the contact, by the problem with the L1 term.
+    """Support of the contact, found by the problem with the L1 term.
 
     Attributes
     ----------
@@ -251,7 +251,7 @@ class ContactPressure:
     amplitudes : (a,) array
         Of the nuisances.
     problem : ContactProblem
-        That this solves.
+        The problem solved.
     """
 
     support: np.ndarray
@@ -270,7 +270,7 @@ class ContactPressure:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the pressures of `nodes`, Pa, and the amplitudes, (s + a, s + a), on this support."""
+        """Covariance of the pressures of `nodes`, Pa, and the amplitudes, (s + a, s + a)."""
         return self.problem.covariance(self.nodes)
 
 
@@ -306,7 +306,7 @@ class ContactProblem:
         self._pulled = np.empty((0, len(measurements.nuisances.mean) + 1))
         """Jᵀ W of R and of the residual without contact pressure, J = D S, (assembled, a + 1)."""
         self._assembled_with, self._factor = measurements, 1.0
-        """Measurements with which nodes are assembled, and the present weights over theirs."""
+        """Measurements with which nodes are assembled; present weights over those of these."""
         self._weighed: np.ndarray | None = None
         """√W J of the assembled nodes, (k, assembled)."""
 
@@ -376,8 +376,8 @@ class ContactProblem:
     def max_evidence(self, selection: Selection) -> Selection:
         """Support of maximal evidence near a selection (its neighbours), see `SupportProblem`.
 
-        The L1 term penalises force, not area: it omits nodes, and which ones depends on the initial
-        support.
+        The L1 term penalises force, not area: it omits some nodes of a contact, which ones depends
+        on the initial support.
         """
         prior = self._prior
         near = prior.with_neighbours(selection.support)
@@ -436,7 +436,7 @@ class ContactProblem:
         return self._prior.with_neighbours(nodes) & (self._prior.smoothness.diagonal() > 0.0)
 
     def covariance(self, nodes: np.ndarray) -> np.ndarray:
-        """Of pressures of nodes (s,) and amplitudes, if no others touch, (s + a, s + a)."""
+        """Covariance (s + a, s + a) of pressures at nodes (s,) and amplitudes, no other contact."""
         self._include(nodes)
         amplitude_cov = self.measurements.nuisance_covariance
         pressures = np.linalg.inv(part(self._hessian, self._place[nodes]))
@@ -445,7 +445,7 @@ class ContactProblem:
         return np.block([[pressures, across.T], [across, amplitude_cov + across @ slope.T]])
 
     def covariance_of(self, nodes: np.ndarray, unit: np.ndarray) -> np.ndarray:
-        """Of q quantities, linear in those unknowns with coefficients (s + a, q), (q, q)."""
+        """Covariance (q, q) of quantities linear in those unknowns, coefficients (s + a, q)."""
         self._include(nodes)
         amplitude_cov, by_amplitudes = self.measurements.nuisance_covariance, unit[len(nodes) :]
         hessian = part(self._hessian, self._place[nodes])
@@ -459,7 +459,7 @@ class ContactProblem:
         return self._factor * self._pulled[self._position[nodes], :-1]
 
     def misfit_gradient(self, nodes: np.ndarray, unexplained: np.ndarray) -> np.ndarray:
-        """Gradient of the misfit by pressures of nodes (s,), for a residual (k,), 1/Pa."""
+        """Gradient (s,) of the misfit by pressures of nodes (s,), for a residual (k,), 1/Pa."""
         S = self._membrane.coordinates(nodes)
         return S.T @ (self._rows.T @ (self.measurements.weight * unexplained))
 
@@ -475,7 +475,7 @@ class ContactProblem:
         return pressure, pivots, converged
 
     def _include(self, nodes: np.ndarray) -> None:
-        """Form the Hessian of some nodes (c,), unless it includes them."""
+        """Form the Hessian of some nodes (c,), unless they are in it already."""
         if (self._place[nodes] < 0).any():
             self._restrict_to(nodes)
 
@@ -527,7 +527,7 @@ class ContactProblem:
 
     def _steepest(self, gradient: np.ndarray) -> np.ndarray:
         """The nodes with the steepest gradient per area; others are added later."""
-        area = self._prior.threshold  # in proportion to it
+        area = self._prior.threshold  # proportional to the area
         order = np.argsort(gradient / area)
         before = np.cumsum(area[order]) - area[order]
         first = np.zeros(len(gradient), bool)
@@ -541,7 +541,7 @@ class ContactProblem:
         return self._pull(weighed) + self._prior.smoothness @ pressure
 
     def kkt_residual(self, pressure: np.ndarray) -> float:
-        """‖min(p, ∇)‖ of a pressure (n,) on its own support without the L1 term; both relative."""
+        """KKT residual ‖min(p, ∇)‖, p and ∇ relative, of a pressure (n,) on its support, no L1."""
         where = pressure > 0.0
         if not where.any():
             return 0.0
@@ -584,10 +584,10 @@ def touching_parts(
     least_pa: float,
     resolution_m: float,
 ) -> np.ndarray:
-    """Parts of a support (n,) bool whose peak pressure is at least that of a body that touches.
+    """Parts of a support (n,) bool whose peak pressure is at least that of a touching body.
 
-    A convex body carries `least_pa` or more, p. A load F that is spread evenly at p over a disc and
-    blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))). ℓ is at least half the edge length there.
+    A convex body causes a pressure p of `least_pa` or more. A load F spread evenly at p over a disc
+    and blurred by ℓ has the peak p (1 − exp(−F / (2πℓ² p))). ℓ is at least half the local edge.
     """
     least_pa = max(least_pa, 1e-3)  # without gas pressure everything touches
     count, part = connected_parts(mesh.rings, support)
@@ -604,8 +604,8 @@ def touching_parts(
 
 
 MISPLACED_LOAD = 0.15
-"""Share of the largest contact's load that the exact membrane misplaces on a real sensor while it
-is being loaded: in the one real press, single nodes far from the contact carry up to 0.14 of it in
+"""Share of the largest contact's load that the exact membrane may misplace while a real sensor is
+being loaded: in the one real press, single nodes far from the contact carry up to 0.14 of it in
 frames solved without a warm start; the rest is margin. The depth camera's temporal filter mixes
 images of a moving membrane, which no shape in equilibrium explains."""
 
@@ -613,8 +613,8 @@ images of a moving membrane, which no shape in equilibrium explains."""
 def significant_contact(mesh: MembraneMesh, contact: ContactPressure) -> np.ndarray:
     """Nodes (n,) bool under pressure in significant parts of the support.
 
-    The part with the largest load always is one. Others must carry more than `MISPLACED_LOAD` of
-    it, and more than noise does at any of the n nodes.
+    The part with the largest load always counts. Others must carry more than `MISPLACED_LOAD` of
+    its load, and more than noise causes at any of the n nodes.
     """
     count, part = connected_parts(mesh.rings, contact.support)
     nodes = np.flatnonzero(contact.support)

@@ -30,27 +30,27 @@ from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
 _SENSOR_LIMIT, _FRAME_LIMIT = 0.42, 0.65
-"""Resolution at the noise of an image, in mesh edges, below which the mesh limits its patch; and
-that at the noise factor of its frame, up to which it is refined. Chosen on presses of 14 objects:
-they gain 0.05 to 0.15 of IoU up to 0.4 of the former and 0.01 or nothing from 0.45 on, those into
-rubber up to 0.6 of the latter. Single images of shipped sensors are not refined, those of
-identified ones of up to 0.15 mm of noise are. On a dome pressed by another solver (0.05 mm), 1,000
-nodes have an IoU of 0.96 with refinement and 0.89 without, where 3,000 nodes have 0.95 and take six
-times as long.
+"""Limits, in mesh edges, up to which the contact is refined: of the resolution at the noise of an
+image, below which the mesh limits the patch; and of the resolution at the noise factor of the
+frame. Chosen on presses of 14 objects: IoU gains 0.05 to 0.15 up to 0.4 of the former, and at most
+0.01 from 0.45 on; presses into rubber gain up to 0.6 of the latter. Single images of shipped
+sensors are not refined; those of identified sensors with up to 0.15 mm of noise are. On a dome
+pressed by another solver (0.05 mm), 1,000 nodes have an IoU of 0.96 with refinement and 0.89
+without; 3,000 nodes have 0.95 and take six times as long.
 """
 _MOST_NODES, _MOST_TWICE = 100, 10.0
-"""Most nodes of a contact that is refined, and most `_effective_nodes` (of some 12 nodes) of one
-that is refined twice: the time grows with the square of the number of finer nodes, and is some
-80 ms for the 200 finer nodes of one that is refined twice. Light nodes, which two estimates of a
-frame may not share, hardly count."""
+"""Most nodes of a contact that is refined, and most `_effective_nodes` (about 12 nodes) of one that
+is refined twice: the time grows with the square of the number of finer nodes, and is about 80 ms
+for the 200 finer nodes of a contact that is refined twice. Nodes with little load, in which two
+estimates of a frame may differ, hardly count."""
 _FINER_RINGS, _MOVING_RINGS = 2, 6
-"""Rings of nodes around the contact that are refined, and rings around those that may move. In the
-hold of the real press, 4 of the latter change the area, 6 do not."""
+"""Rings of nodes around the contact that are refined, and further rings that may move. In the
+hold of the real press, the area differs with 4 of the latter, not with 6."""
 _STEPS = 2
 """Gauss–Newton steps: the first with the noise factor of the estimated shape, which includes errors
-of its mesh; the second with that by the residual of the first, without smooth errors. After two
-refinements one more, with the tangent of the second: that residual still has errors of the first
-mesh. With one tangent for all of them, areas of one frame differ by 5 %."""
+of its mesh; the second with the noise factor by the residual of the first, without smooth errors.
+After two refinements one more, with the tangent of the second, as that residual still contains
+errors of the first mesh. With one tangent for all of them, areas of one frame differ by 5 %."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class ContactRefiner:
     def refine(
         self, depth_m: np.ndarray, estimate: Estimate, mean_noise: float = 1.0
     ) -> FineContact | None:
-        """Contact of a frame on a finer mesh; None where that would not improve it.
+        """Contact of a frame on a finer mesh; None if that would not improve it.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class ContactRefiner:
         return None
 
     def _gas_pressure(self, estimate: Estimate) -> float:
-        """Gauge pressure of the gas, Pa, which every contact carries somewhere."""
+        """Gauge pressure of the gas, Pa, which every contact reaches somewhere."""
         return self._estimator.held_pressure_pa + estimate.gas_pressure_change_pa
 
     def _part(self, touching: np.ndarray, twice: bool) -> _Part:
@@ -269,8 +269,8 @@ def _smooth_errors(observer: RangeObserver) -> np.ndarray:
     """Range errors (b, 6) of the blocks of a part: polynomials of second degree over the image.
 
     Errors of the model around a contact, such as of the stress in an oval membrane, are smooth.
-    Taken for noise they would blur the contact. Their prior is what the noise factor of the
-    estimated shape has beyond the noise of the camera.
+    Treated as noise they would blur the contact. Their prior is the excess of the noise factor of
+    the estimated shape over the noise of the camera.
     """
     forward, *tilts = observer.image_errors[:, :3].T
     across = [tilt / np.where(forward > 0.0, forward, 1.0) for tilt in tilts]

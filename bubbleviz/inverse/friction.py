@@ -1,11 +1,11 @@
-"""Friction of contacts: what of it a frame can show, as nuisances of its contact pressure.
+"""Friction of contacts, as far as a frame shows it, as nuisances of the contact pressure.
 
 A depth image does not show friction, but friction moves the membrane: without it, the estimate
 would explain that motion by pressure where nothing touches. By depth alone a contact has three
 unknowns: slides along two directions across its mean normal, and a spin about it. Each is a
 traction proportional to the contact pressure, so that its amplitude is the share of Coulomb's
 friction that acts. Optical flow shows more: where it sees a contact, every node has a tangential
-traction, smooth as the contact pressure is.
+traction, as smooth as the contact pressure.
 """
 
 from __future__ import annotations
@@ -21,29 +21,28 @@ from bubbleviz.membrane import connected_parts, dense_part
 
 FRICTION = 1.0
 """Largest standard deviation of the amplitudes: dry latex on common materials has coefficients of
-friction between 0.5 and 1.5. On rubber dragged and twisted by another solver, half and twice of it
-change the force by 0.2 % in the median and 2.4 % at most at 1 % of depth noise."""
+friction between 0.5 and 1.5. On rubber dragged and twisted by another solver, half and twice this
+value change the force by 0.2 % in the median and at most 2.4 % at 1 % depth noise."""
 
 _MIN_LOAD_SHARE = 0.25
-"""Share of the largest contact's load from which a contact has amplitudes of its own. While the
-real press is being loaded, those of single nodes with a tenth of it fitted what the model misses
-there, and the solution alternated between two supports."""
+"""Share of the largest contact's load from which a contact has its own amplitudes. In the loading
+phase of the real press, amplitudes of single nodes with a tenth of the load fitted errors of the
+model, and the solution alternated between two supports."""
 
 _MIN_FLOW_SHARE = 0.5
-"""Least share of a contact's nodes next to which flow was measured, for tractions of its nodes:
-where the texture of a contact is mostly hidden, depth decides. Chosen."""
+"""Least share of a contact's nodes with flow measured next to them, for tractions at its nodes: if
+the texture of a contact is mostly hidden, depth alone is used. Chosen."""
 
 _MOST_NODES = 300
-"""Most nodes of a contact for tractions of its nodes: as many as its support is optimised for, and
-two unknowns each take the cube of their number in time. Chosen."""
+"""Most nodes of a contact with tractions at its nodes, as for optimising the support: with two
+unknowns per node, time grows with the cube of their number. Chosen."""
 
 
 _SCALES = np.geomspace(0.01, 1.0, 81)
-"""Scales of the prior, for slides and for spins. The smallest, which is none beside any noise, is
-as likely as all others together, which are equally likely: a contact has no friction, or anything
-up to all of Coulomb's. That extra weight was chosen on rubber dragged and twisted by another
-solver. Intervals do without it: else friction of the size of its noise would be outside in one of
-three cases."""
+"""Scales of the prior, for slides and for spins. The smallest, which means no friction, is as
+likely as all others together, which are equally likely: a contact has no friction, or any share of
+Coulomb's. This extra weight was chosen on rubber dragged and twisted by another solver. Intervals
+do not use it: otherwise friction as small as its noise would be outside in one of three cases."""
 WIDEST = 1.0, 1.0
 """Scales without evidence."""
 
@@ -51,9 +50,9 @@ WIDEST = 1.0, 1.0
 class FrictionScale(NamedTuple):
     """Scale of the prior of slides, or spins, by the evidence of one frame.
 
-    `value` is that with the mean number of determined parameters (MacKay 1992) over all scales,
-    so that its solution is near their mean. `spread` (q, q) is what the uncertainty of the scale
-    adds to the covariance of these amplitudes.
+    `value` is the scale whose number of determined parameters (MacKay 1992) is the mean over all
+    scales, so that its solution is near their mean. `spread` (q, q) is what the uncertainty of the
+    scale adds to the covariance of the amplitudes.
     """
 
     value: float
@@ -71,7 +70,7 @@ def friction_scale(
     Parameters
     ----------
     amplitudes, covariance : (q,), (q, q) array
-        Those of all contacts in the solution of a frame.
+        Amplitudes of all contacts in the solution of a frame, and their covariance.
     sigma : float
         Their standard deviation at scale 1.
     present : float
@@ -107,7 +106,7 @@ def friction_nuisances(
     smoothness: sparse.csr_array,
     seen: np.ndarray,
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Motions and forces (n, 3, m) of friction of contacts by depth alone, and seen by flow.
+    """Motions and forces (n, 3, m) of friction, of contacts by depth alone and of those with flow.
 
     Parameters
     ----------
@@ -132,9 +131,9 @@ def friction_nuisances(
 
 
 def contacts_seen_by_flow(pressure: np.ndarray, rings: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Nodes (n,) bool of the contacts, under a pressure (n,), that flow sees at nodes `seen`.
+    """Nodes (n,) bool of the contacts under a pressure (n,) that flow, at nodes `seen`, determines.
 
-    Not of contacts with too many nodes for tractions of each.
+    Contacts with too many nodes for a traction at each are excluded.
     """
     touching = pressure > 0.0
     if not seen.any():  # as in every frame without colour

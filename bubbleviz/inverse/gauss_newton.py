@@ -38,18 +38,18 @@ from bubbleviz.inverse.response import BALANCED_MOTION, Bubble, Tangent
 from bubbleviz.membrane import Gas, connected_parts, grown
 
 TANGENT_REUSE, LARGE_MOTION, MAX_STEP = 0.2, 0.5, 2.0
-"""Motions of the nodes over the mesh edge. A tangent is used again within `TANGENT_REUSE` of the
-shape that it was computed at, and further away where steps are as long: the residual is always
-exact. A step is large beyond `LARGE_MOTION`, and no longer than `MAX_STEP`."""
+"""Motions of the nodes, in mesh edges. A tangent is reused within `TANGENT_REUSE` of the shape at
+which it was computed, or within the length of the last step if that is longer: the residual is
+always exact. A step longer than `LARGE_MOTION` is large, and none exceeds `MAX_STEP`."""
 _MAX_EXCHANGE_NODES = 300
 """Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
 the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
 _MAX_SOLUTIONS = 4
-"""Solutions of a linearised problem on a support, each with the hyperparameters by the one before.
-Supports selected in one step are at most as many."""
+"""Most solutions of a linearised problem on one support, each with the hyperparameters that the
+previous one determined; also the most supports selected in one step."""
 _IMAGE_CHANGED = 18.5
-"""χ² of the four errors of an image, which one image in 1,000 exceeds by chance: beyond, the camera
-has moved since the errors were determined that are known."""
+"""χ² of the four errors of an image that one image in 1,000 exceeds by chance: above it, the camera
+has moved since the known errors were determined."""
 IMAGE_ERROR = 1e-3
 """Standard deviation of the errors of a whole depth image over the depth: 0.1 mm at 100 mm; scaled
 by the noise factor of a frame. Chosen on rubber dragged by another solver, whose
@@ -78,7 +78,7 @@ class State:
     friction : (n, 3) array
         Force of friction on the nodes, N.
     clamp : (n, 3) array
-        Force on the nodes of the rim by which its slack differs from the expected one, N.
+        Force on the nodes of the rim that moves them beyond the expected slack, N.
     image_errors : (4,) array
         Amplitudes of `IMAGE_ERRORS`, m, m, m and 1.
     balanced : bool
@@ -104,7 +104,7 @@ class State:
 
 
 class Hyperparameters(NamedTuple):
-    """What a frame's own evidence determines of its noise and priors.
+    """Noise and priors of a frame, as determined by its own evidence.
 
     `friction` has the scales of the priors of slides and spins by depth alone, `image_errors` the
     prior of the errors of the whole image.
@@ -118,8 +118,8 @@ class Hyperparameters(NamedTuple):
     def doubt(self) -> float:
         """Factor of the priors of gas pressure and image errors.
 
-        A noise factor above 1 is partly an error of the model: these would pull the shape away from
-        the image.
+        A noise factor above 1 is partly due to errors of the model: without this factor, narrow
+        priors would pull the shape away from the image.
         """
         return max(self.noise.ranges, 1.0)
 
@@ -143,13 +143,13 @@ class Step:
     last_tangent : Tangent
         The last one computed, which may be nearer to the new shape.
     friction : two int arrays
-        Amplitudes that are slides, and spins, by depth alone.
+        Indices of the amplitudes of slides, and of spins, determined by depth alone.
     spreads : two (q, q) arrays
-        What the unknown scale of their prior adds to the covariances of these.
+        What the unknown scales of their priors add to the covariances of slides and spins.
     hyperparameters : Hyperparameters
-        By its own evidence near the solution, else those that it was given.
+        By the step's own evidence near the solution, else those given.
     selected_with : Hyperparameters
-        With which its support was selected; where it was not, the same.
+        Those with which the support was selected; if it was not, `hyperparameters`.
     residual_m : (k,) array
         Errors of the ranges after it, to first order.
     solve_ms : float
@@ -170,7 +170,7 @@ class Step:
 
     @property
     def measurements(self) -> Measurements:
-        """That were fitted, with the prior of their nuisances."""
+        """The fitted measurements, with the prior of their nuisances."""
         return self.contact.problem.measurements
 
     @property
@@ -194,7 +194,7 @@ class GaussNewton:
     prior_weight : float
         λ of the H1 term, 1/Pa².
     length_m : float
-        Size of the membrane, m: ranges with larger errors are not of it.
+        Size of the membrane, m: a range with a larger error is not of the membrane.
     friction : float
         Standard deviation of the amplitudes of `friction_nuisances`; 0 for none.
     image_error : float
@@ -308,7 +308,7 @@ class GaussNewton:
     ) -> Noise:
         """Noise factors by the residual of a step that assumed the factors `noise`."""
         if step.contact.pivots and not step.contact.pressure.any():
-            return noise  # no contact was found: the residual still has what it would explain
+            return noise  # no contact found: the residual still includes what it would explain
         updated = self._noise_of(step.contact, step.residual_m, observed, noise, fit_image)
         if observed.flow is None:
             return updated
@@ -322,7 +322,7 @@ class GaussNewton:
         noise: Noise,
         fit_image: bool,
     ) -> Noise:
-        """Noise factors with that of the ranges by their residual (k,)."""
+        """Noise factors, with the one of the ranges determined by their residual (k,)."""
         left = observed.without_image_errors(residual_m) if fit_image else residual_m
         factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
         return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
@@ -338,13 +338,13 @@ class GaussNewton:
         fit_image: bool,
         near: bool,
     ) -> Step | None:
-        """A step from a state by a tangent, or None if its problem was not solved.
+        """A step from a state with a tangent there, or None if its problem was not solved.
 
-        Its support is selected in so many rounds, with given hyperparameters; errors of the whole
-        image are fitted or zero. Near the solution friction is fitted, parts of the contact that
-        are not significant are left out, and hyperparameters are those of its own evidence: its
-        support is selected again until they agree with those that it was selected with (noise
-        factor within a step of its grid, the same errors of the image).
+        The support is selected in `rounds` rounds with the given hyperparameters; errors of the
+        whole image are fitted (`fit_image`) or zero. Near the solution friction is fitted,
+        insignificant parts of the contact are left out, and the step's own evidence determines the
+        hyperparameters: the support is selected again until they agree with those that it was
+        selected with (noise factor within a step of its grid, the same errors of the image).
         """
         measurements, friction = self._measurements(
             tangent, state, observed, gas, hyper, near, fit_image
@@ -404,7 +404,7 @@ class GaussNewton:
         near: bool,
         fit_image: bool,
     ) -> tuple[Measurements, tuple[np.ndarray, np.ndarray]]:
-        """Residual and weights of a frame with its nuisances; which are slides and spins."""
+        """Residual and weights of a frame with its nuisances; indices of slides and of spins."""
         moving = []
         if gas is not None:
             bulge = tangent.bulge[:, :, None]
@@ -417,8 +417,8 @@ class GaussNewton:
             by_depth = np.arange(found[0][0].shape[2])
             moving += found
             if observed.flow is not None:
-                # The slack's σ is the slack itself, and only flow shows the motion along the
-                # membrane that tells it. Divided by the σ of friction, the prior of all these.
+                # The σ of the slack is the slack itself. Only flow shows the motion along the
+                # membrane that determines it. Divided by the σ of friction, their common prior.
                 pull = (self.bubble.rim_pull(state.x) - state.clamp)[:, :, None] / self.friction
                 moving.append((tangent.motion(pull), pull))
         first = int(gas is not None)
@@ -509,9 +509,9 @@ class GaussNewton:
     ) -> tuple[ContactPressure, Hyperparameters, Sequence[np.ndarray]]:
         """A contact with hyperparameters by its own evidence, these, and `Step.spreads`.
 
-        They are found on its support, as they change neither the derivative of the measurements
-        nor its product with itself. With optical flow the noise factors remain. Errors of the image
-        are the known ones unless these do not fit.
+        They are determined on its support, as they change neither the derivative of the
+        measurements nor its Gram matrix. With optical flow the noise factors remain. Errors of the
+        image are the known ones unless these do not fit.
         """
         selection = Selection(contact.support, contact.pivots, contact.converged, contact.complete)
 
@@ -542,7 +542,7 @@ class GaussNewton:
         hyper: Hyperparameters,
         fit_image: bool,
     ) -> tuple[Hyperparameters, list[np.ndarray]]:
-        """Hyperparameters by a contact that was solved with others, and `Step.spreads`."""
+        """Hyperparameters by the evidence of a contact solved with others, and `Step.spreads`."""
         scales = [FrictionScale(scale, np.zeros((0, 0))) for scale in hyper.friction]
         if len(friction[0]):  # else no contact, or optical flow sees all
             scales = [
@@ -570,7 +570,7 @@ class GaussNewton:
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
         """Nodes (n,) bool that an image shows neither at the present shape nor at rest.
 
-        What only the shape hides, such as the wall around a plate, is not among them.
+        Nodes that only the present shape hides, such as the wall around a plate, are not included.
         """
         at_rest = self._view_at_rest
         measured = observed.observation.weight[at_rest.block] > 0.0
@@ -582,9 +582,8 @@ class GaussNewton:
         """Support (n,) bool of contacts that continue at `_hidden` nodes.
 
         The edge of the image, or of a hole in it, is not the edge of the contact, and the L1 term
-        selects no node that has no measurement. A contact may continue there by its own diameter,
-        which each selection takes from what was found there by the one before. How much pressure
-        there is follows from smoothness and from the membrane around.
+        selects no node that has no measurement. A contact may continue there by its diameter in
+        the given support. The pressure there follows from smoothness and the membrane around it.
         """
         mesh, hidden = self.mesh, self._hidden(observed)
         if not (hidden & grown(mesh.rings, support)).any():
@@ -628,9 +627,9 @@ class GaussNewton:
     ) -> tuple[State, Tangent]:
         """State after a step, and the last tangent computed.
 
-        The shape is moved on to equilibrium under its new pressure where there is one nearby. There
-        need not be one under a part of a pressure (the object prescribes positions, not pressures);
-        the shape is then the linearised one, and the next step balances it.
+        The shape is moved on to equilibrium under its new pressure if there is one nearby. After a
+        step that was cut off there need not be one (the object prescribes positions, not
+        pressures); the shape is then the linearised one, and the next step balances it.
         """
         length_m = float(np.abs(contact.motion).max())
         share = min(1.0, self._max_step_m / max(length_m, 1e-300))
@@ -654,11 +653,12 @@ class GaussNewton:
     def tangent_at(
         self, state: State, gas: float | None, last: Tangent | None = None, step_m: float = 0.0
     ) -> Tangent:
-        """Tangent near a state: the last one where it is near enough.
+        """Tangent near a state: the last one if it is near enough.
 
-        That is within `TANGENT_REUSE`, or the length of the step that led to the state: the next
-        one then corrects what that step's own linearisation missed, which is of the same order. Not
-        of a step from rest: a dented membrane yields to friction otherwise than one at rest.
+        Near enough is within `TANGENT_REUSE`, or within the length of the step that led to the
+        state: the error is then of the order of that step's linearisation error, which the next
+        step corrects. This does not apply to the tangent at rest: a dented membrane yields to
+        friction in another way.
         """
         measured = gas is not None
         if state is self.rest:

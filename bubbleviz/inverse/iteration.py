@@ -29,27 +29,27 @@ from bubbleviz.inverse.wrench_covariance import (
 from bubbleviz.result import FlowFit, Status
 
 _CONVERGED_MOTION, _CONVERGED_FORCE, _MAX_SETTLING = 0.05, 0.1, 2
-"""A frame has converged when a step moves its nodes by less than the first over the mesh edge, and
-changes no component of its force by more than the second over its standard deviation: an error of a
-tenth adds 0.5 % to it. Steps that are as short do not always shrink: at most so many more. After
-a warm start a single step of that length is enough if the error of its linearisation changes the
-force by no more than that, and the noise factor is that of the frame before, or its neighbour: with
-another one, contact and friction have changed. Longer first steps still have the friction of the
-frame before, and areas up to 10 % off."""
+"""Criteria of convergence: the largest motion of a node in a step, in mesh edges; the largest
+change of a component of the force, in its standard deviations (an error of 0.1 σ adds 0.5 % to σ);
+and the number of further steps taken if steps that short do not shrink. After a warm start one
+step within the first limit is enough if the error of its linearisation changes the force by no more
+than the second, and the noise factor is that of the previous frame or its neighbour on the grid:
+otherwise contact and friction have changed. After longer first steps friction is still that of the
+previous frame, and areas are up to 10 % off."""
 _MAX_STEPS, _MAX_LARGE_STEPS = 16, 8
-"""Gauss–Newton steps of a frame, and how many of them may be large without being cut off at
-`MAX_STEP`: a frame that has not converged by then contradicts the model."""
+"""Most Gauss–Newton steps of a frame, and most large ones that are not cut off at `MAX_STEP`: a
+frame that has not converged by then contradicts the model."""
 _MAX_STALLED, _STALLED_SHARE = 3, 0.72
-"""Consecutive large steps that leave more than this share of the smallest χ² so far, after which a
-frame counts as failed. Steps of the largest length towards a contact reduce χ² more than this. Of
-the converged frames of the real press, of rubber dragged and twisted by another solver, and of
-presses of six objects, one (a plane 29 mm deep across a dome) had two such steps in a row, all
-others one at most. A plate that presses 40 of 50 mm into a dome is refused by this. Images of no
-membrane took up to 15 such steps, of 0.3 s each."""
+"""A frame fails after this many consecutive large steps that leave more than this share of the
+smallest χ² so far. Steps of the largest length towards a contact reduce χ² by more. Of the
+converged frames of the real press, of rubber dragged and twisted by another solver, and of presses
+of six objects, one (a plane 29 mm deep across a dome) had two such steps in a row, all others at
+most one. A plate pressed 40 of 50 mm into a dome is refused by this rule. Without it, images that
+do not show a membrane took up to 15 such steps, of 0.3 s each."""
 _MAX_SELECTIONS, _SELECTION_ROUNDS, _SELECTING_STEPS = 2, 6, 3
-"""Selections of the support at a converged shape, how often each may add nodes with a negative
-gradient, and the number of first steps in which it is selected. With one instead of three, frames
-of a moving object take 2.2 instead of 1.8 steps, and with five some hardly converge."""
+"""Most selections of the support at a converged shape, how often each may add nodes with a negative
+gradient, and the number of first steps that select the support. If only the first one does, frames
+of a moving object take 2.2 instead of 1.8 steps; if the first five do, some hardly converge."""
 MINIMUM_BLOCKS = 3
 """Blocks that a plane needs: with fewer, a dent cannot be distinguished from a shift of the
 sensor."""
@@ -68,13 +68,13 @@ class Start:
     noise : Noise
         Noise factors of the frame, a first guess for the next one.
     friction_scales : (float, float)
-        Scales of its prior of slides and spins, likewise.
+        Scales of its priors of slides and spins, also a first guess.
     image_errors : ImageErrors or None
         Prior of the errors of the whole image in the frame.
     view : ShapeRanges or None
         Camera model at the last shape at which it was computed.
     by_flow : Start or None
-        The same by depth and optical flow; all else is by depth alone.
+        The same from depth and optical flow; all other attributes are from depth alone.
     """
 
     state: State | None = None
@@ -102,7 +102,7 @@ class SolvedFrame:
     contradicts_gas : bool
         Whether its shape contradicts the measured p_v.
     wrench_covariance : (6, 6) array
-        Of its force, N, and its torque about the origin of B, N·m.
+        Covariance of its force, N, and its torque about the origin of B, N·m.
     visible_share : float
         Share of the contact area visible to the camera; NaN without contact.
     flow : FlowFit or None
@@ -137,23 +137,23 @@ class Iteration:
        from rest if the rest shape fits the image better than the warm start does; give up if
        the image cannot be of this membrane, if the shape leaves its surroundings (`length_m`),
        or if large steps hardly reduce the misfit.
-    2. Step: solve for contact pressure and nuisances, on a support that is selected anew as
-       long as steps are large, in the first steps, near convergence, and after a first guess of
-       the noise factor. After other small steps the support is kept, as the solution could
-       alternate between two supports for ever. Parts of the contact that are not significant are
-       left out: they explain noise by a few nodes that depend on the frames before, and change
-       the force by up to 3 %. Friction and errors of the whole image are fitted only near the
-       solution (after a step to an equilibrium that was not cut off), where they hardly explain
-       errors of the linearisation. With optical flow, for which the start must be the solution by
-       depth alone, the support remains that one: tractions at all of its nodes could explain all
-       of a light contact, without any pressure.
+    2. Step: solve for contact pressure and nuisances. The support is selected anew while steps
+       are large, in the first steps, near convergence, and after a first guess of the noise
+       factor. After other small steps it is kept, as the solution could alternate between two
+       supports forever. Insignificant parts of the contact are left out: they explain noise by a
+       few nodes that depend on previous frames, and change the force by up to 3 %. Friction and
+       errors of the whole image are fitted only near the solution (after a step to an
+       equilibrium that was not cut off), where they hardly explain errors of the linearisation.
+       With optical flow, which must start from the solution by depth alone, the support stays
+       that of the start: tractions at all of its nodes could explain a light contact completely,
+       without any pressure.
     3. Once the shape has converged, select the support again, until it is complete.
-    4. Near the solution, a step finds the noise factor by which the image is weighted, the scales
-       of friction, and whether the known errors of the image fit, by its own evidence, and selects
-       its support again until they agree, so that the result does not depend on the frames before.
-       Until then, and with optical flow, the residual of each step to an equilibrium gives the
-       factor of the next one. Whether there is contact is decided with at least the noise of the
-       sensor. Without a warm start the first step to an equilibrium gives a first guess of the
+    4. Near the solution, the evidence of each step determines the noise factor by which the image
+       is weighted, the scales of friction, and whether the known errors of the image fit; the
+       support is selected again until they agree, so that the result does not depend on previous
+       frames. Before, and with optical flow, the residual of each step to an equilibrium gives the
+       noise factor of the next one. Whether there is contact is decided with at least the noise of
+       the sensor. Without a warm start the first step to an equilibrium gives a first guess of the
        factor, unless it contradicts a measured gas pressure; until then, only the nodes with the
        steepest gradient are selected.
 

@@ -23,9 +23,9 @@ class FrameData:
     gas_pa : float or None
         p_v, Pa; None: computed from the volume.
     flow : MeasuredFlow or None
-        Of the colour image; None: by depth alone.
+        Of the colour image; None: depth alone.
     image_errors : ImageErrors or None
-        Known from frames without contact; None: not known.
+        As known from frames without contact; None: unknown.
     """
 
     ranges: Measured
@@ -151,7 +151,7 @@ class Measurements:
         return np.asarray(root @ scaled @ root.T)
 
     def change_of_amplitudes(self, change: np.ndarray) -> np.ndarray:
-        """Of the most likely ones (a,), for a change (k,) of an unexplained residual."""
+        """Change (a,) of the most likely amplitudes for a change (k,) of the residual."""
         return self.nuisance_covariance @ (self.nuisances_weighed.T @ change)
 
     def amplitudes(self, unexplained: np.ndarray) -> np.ndarray:
@@ -162,7 +162,7 @@ class Measurements:
         return mean + self.change_of_amplitudes(unexplained)
 
     def weighed(self, residual: np.ndarray) -> np.ndarray:
-        """W times a residual (k,) less what nuisances explain of it (Woodbury)."""
+        """W times the part of a residual (k,) that nuisances do not explain (Woodbury)."""
         return self.weight * residual - self.nuisances_weighed @ self.amplitudes(residual)
 
 
@@ -212,7 +212,7 @@ class LinearisedFrame:
     view : ShapeRanges
     observation : Observation
     measured_m : (k,) array
-        Ranges of the blocks in `view` less those at rest, without the expected errors of the image.
+        Ranges of the blocks in `view` minus those at rest and the expected errors of the image.
     image_errors_m : (k, e) array
         Range errors of those blocks under a unit of each error of the whole image.
     image_prior : ImageErrors

@@ -8,13 +8,13 @@ from typing import NamedTuple
 from bubbleviz.camera import UPPER_95
 
 _RATIO, _MAX_NOISES = 1.1, 8
-"""Ratio of successive noise factors on the grid of those that frames are solved with, and how many
-are tried in a frame. Without a grid, the result would depend on the first one. Half a step is about
-a standard deviation: an image of correlated noise is worth some 650 samples, which determine it to
-5 %. Factors below 1 are less certain, and their ratio is `UPPER_95`."""
+"""Ratio of successive noise factors on the grid that frames are solved with, and how many are tried
+in a frame. Without a grid, the result would depend on the first one. Half a step is about a
+standard deviation: an image with correlated noise counts as some 650 samples, which determine the
+factor to 5 %. Factors below 1 are less certain, and their ratio is `UPPER_95`."""
 _FLOW_RATIO = 1.3
-"""The same for optical flow: by its two components in some forty squares, its noise factor is
-determined to 14 %."""
+"""The same for optical flow: its two components in some forty squares determine its noise factor to
+14 %."""
 
 
 class Noise(NamedTuple):
@@ -36,9 +36,9 @@ AS_EXPECTED = Noise(1.0)
 
 
 def noise_converged(updated: Noise, noise: Noise, earlier: list[Noise]) -> bool:
-    """Whether the noise factors have converged that a frame was solved with."""
+    """Whether the noise factors with which a frame was solved have converged."""
     by_kind = zip(updated, noise, zip(*earlier, strict=True) if earlier else ((), ()), strict=True)
-    # Two factors can alternate for ever, each with its own support: the larger one is taken.
+    # Two factors can alternate forever, each with its own support: the larger one is taken.
     same = (now == before or (now < before and now in others) for now, before, others in by_kind)
     return len(earlier) + 1 >= _MAX_NOISES or all(same)
 

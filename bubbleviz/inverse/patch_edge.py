@@ -1,13 +1,13 @@
 """The edge of the contact patch, below the blur of the estimated contact pressure.
 
 Noise and prior leave the estimate p̂ blurred by a Gaussian-like kernel of known width ℓ
-(`resolution.resolution_m`), the mesh by half an edge. The membrane lies on a flat or convex object
-with at least the gauge pressure, and on the edges of a flat face it carries a line load on top, so
-that across the true edge p̂ is a blurred step of height b (the interior) plus a blurred ridge. The
-contour at half the height m inside the edge thus lies on it where the interior is as high (a
-ball), and ever further outside, up to about ℓ √(2 ln 2), where the ridge is all there is (a sharp
-box). m is a mean over nodes inside, mostly those without a neighbour outside: nodes at the edge
-carry only the load of the part of their cell in contact, and the maximum would be noise.
+(`resolution.resolution_m`), the mesh by half an edge. The pressure on a flat or convex object is at
+least the gauge pressure, with an additional line load on the edges of a flat face, so that across
+the true edge p̂ is a blurred step of height b (the interior) plus a blurred ridge. The contour at
+half the height m inside the edge lies on the edge if the interior is as high (a ball), and up to
+about ℓ √(2 ln 2) outside it if there is only the ridge (a sharp box). m is a mean over nodes
+inside, mostly those without a neighbour outside: nodes at the edge carry only the load of the part
+of their cell in contact, and the maximum would be noise.
 The contour is smoothed over ℓ, or less in a narrow patch, and moved inwards by that distance.
 Corrections compensate shrinkage by smoothing and blur where the contour is curved, and widening by
 blur of contacts that are hardly wider than ℓ.
@@ -108,8 +108,8 @@ _FLOOR = 0.5  # fraction of the gauge pressure below which nothing is contact
 _HOLE = 2.0  # deepest hole, in ℓ, that the blur may cause in a contact without holes
 _PROFILE = 4.0  # length along the contour, in ℓ, over which its profile is averaged
 _INSIDE = 4
-"""Power of the share of a node's neighbourhood inside, which is the node's weight. Chosen:
-of 2, 4, 8 and 16 that with the steadiest edge in the hold of the real press."""
+"""The weight of a node is the share of its neighbourhood inside, to this power. Chosen: of 2, 4, 8
+and 16 the one with the steadiest edge in the hold of the real press."""
 _INWARD = 1.75
 """Distance inside the edge, in ℓ, where a blurred step has almost its full height; at least one
 mesh edge. Chosen on presses of four objects into three membranes: 2 shrinks contacts on a dome
@@ -124,12 +124,12 @@ _NARROW = np.array(
     ]
 )
 """Half width of the contour at half the height of a blurred strip, and how much of it lies outside
-the strip, in ℓ. Strips narrower than 2 ℓ, of which the contour tells little, are taken for as
-much narrower than their contour as that one."""
+the strip, in ℓ. The contour says little about strips narrower than 2 ℓ: they are taken to be
+narrower than their contour in the same proportion as one of 2 ℓ."""
 _ROUND = 0.16
-"""How far at most, in ℓ, the contour at half the height of a blurred disc's centre lies inside its
-edge: at a radius of 2.7 ℓ. For larger discs it equals the shrinkage by smoothing, ℓ²/2 over the
-radius."""
+"""Largest distance, in ℓ, of the contour at half the height of a blurred disc's centre from the
+disc's edge, inside: at a radius of 2.7 ℓ. For larger discs it equals the shrinkage by smoothing,
+ℓ²/2 over the radius."""
 
 
 class PatchEdge:
@@ -202,7 +202,7 @@ class PatchEdge:
         before: np.ndarray,
         blur: float,
     ) -> np.ndarray:
-        """Distance of the contour outside the edge, m: ℓ √(2 ln 2) (1 − b/m), less the shrinkage.
+        """How far the contour lies outside the edge, m: ℓ √(2 ln 2) (1 − b/m) minus the shrinkage.
 
         Profile and shrinkage by smoothing are averaged along the contour.
         """
@@ -223,7 +223,7 @@ class PatchEdge:
         return dilation
 
     def _widening(self, half_width: np.ndarray, blur: float) -> np.ndarray:
-        """Distance of the contour of a narrow contact outside the edge, m.
+        """How far the contour of a narrow contact lies outside the edge, m.
 
         Only blur beyond that of the mesh counts: the nodes of the support end at the edge.
         """
@@ -260,7 +260,7 @@ class PatchEdge:
         if len(points) == 0:
             constant = _HOLE * blur + self.edge_length_m
             return np.where(field > 0.0, constant, -constant)
-        distance = cdist(region.points, points).min(axis=1)  # too few of both for a tree
+        distance = cdist(region.points, points).min(axis=1)  # a k-d tree is slower for so few
         return np.where(field > 0.0, distance, -distance)
 
     def _around(self, mask: np.ndarray, rings: int) -> Region:

@@ -19,8 +19,8 @@ GAS_MODEL_ERROR = 0.02
 45 mm contribute 0.01, μh 0.01 to 0.02 where it was identified from several gas pressures."""
 
 GAS_LAG = 0.05
-"""Largest error of a measured p_v over the gauge pressure that does not mean a wrong sensor file or
-zero. Chosen; on the one real press, p_v lags by up to 0.02."""
+"""Largest error of a measured p_v, relative to the gauge pressure: a larger one means a wrong
+sensor file or zero. Chosen; on the one real press, p_v lags by up to 0.02."""
 
 IMPLAUSIBLE_MISFIT = 5.0
 """Misfit in standard deviations beyond which the image does not fit the membrane: wrong sensor file
@@ -31,8 +31,8 @@ IMPLAUSIBLE_CLUMPING = 6.0
 averaging over blocks does not reduce them; up to it the force is off by less than a tenth."""
 
 IMPLAUSIBLE_SHARE = 0.2
-"""Misfit over the membrane's size beyond which an image shows no membrane, even if its scatter is
-as large. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
+"""Misfit relative to the membrane's size beyond which an image shows no membrane, however noisy it
+is. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {

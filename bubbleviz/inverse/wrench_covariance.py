@@ -14,8 +14,8 @@ from bubbleviz.result import wrench_about
 MODEL_ERROR = 0.02
 """Relative standard deviation of the force due to mesh, material law and friction model. Chosen on
 balls and pucks that stick to a membrane of another mesh and are dragged and twisted: forces are
-off by 1.8 % in the median of 42 frames, by up to 9 % where a puck is twisted by 15° and dragged at
-once; of frictionless presses by 1.4 % at most."""
+off by 1.8 % in the median of 42 frames, and by up to 9 % if a puck is twisted by 15° and dragged at
+the same time; forces of frictionless presses by at most 1.4 %."""
 
 
 def wrench_covariance(
@@ -34,7 +34,7 @@ def wrench_covariance(
     friction : (n,) array
         Prior standard deviation of friction over pressure, where optical flow does not see it.
     spreads : two (q, q) arrays
-        What the unknown scale of their prior adds to the covariances of slides, and of spins.
+        What the unknown scales of their priors add to the covariances of slides and of spins.
     """
     nodes, problem = step.contact.nodes, step.contact.problem
     if not len(nodes):
@@ -97,10 +97,10 @@ def _model_covariance(
 ) -> np.ndarray:
     """Covariance (6, 6) of a wrench (6,) by errors of the model.
 
-    Those of the force act at the centre of the normal forces `push` (n, 3) on nodes at `x` (n, 3),
-    in every direction alike; so do those of the torque about it. The torque about the mean normal
-    hardly changes the shape, and what the fit finds of it depends on how friction is distributed:
-    for objects that stick it is off by as much as the prior of friction allows.
+    Errors of the force, equal in every direction, act at the centre of the normal forces `push`
+    (n, 3) on nodes at `x` (n, 3); so do errors of the torque about it. The torque about the mean
+    normal hardly changes the shape, and its estimate depends on how friction is distributed: for
+    objects that stick it is off by as much as the prior of friction allows.
     """
     load = np.linalg.norm(push, axis=1)
     center, normal = load @ x / load.sum(), push.sum(axis=0) / np.linalg.norm(push.sum(axis=0))
