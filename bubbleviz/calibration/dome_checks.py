@@ -16,8 +16,8 @@ _MIN_VISIBLE_SHARE = 0.5  # of the dome's area; chosen: the fit extrapolates ove
 _SIGNIFICANT = 6.0  # robust standard deviations of the residual
 _MIN_DENT_PIXELS = 20  # chosen: smaller dents are false returns
 _MIN_DENT_SAMPLES = 5.0
-"""Independent ones in a dent. A camera's fixed pattern has patches of one or less: up to 250 pixels
-and 1.2 mm deep on the real one."""
+"""Fewest independent samples in a dent. Patches of a camera's fixed pattern have at most one: up to
+250 pixels and 1.2 mm deep on the real camera."""
 _DEEP = 1e-2  # of the dome's radius: shallower deviations belong to the dome's shape
 
 
@@ -124,8 +124,8 @@ _MAX_MOTION = 5e-3  # of the dome's radius, which is the relative error that it 
 def check_motion(samples: FrameSamples) -> float:
     """Largest motion of the dome between frames, beyond noise, m.
 
-    The motion is that of a fitted sphere's centre about its mean. Its noise is that of the
-    residuals, of which as many count as one as are correlated.
+    The motion is that of a fitted sphere's centre about its mean. Its noise follows from the
+    residuals, with correlated ones counted as one.
 
     Raises InputError: the dome moves by more than 0.5 % of its radius.
     """

@@ -26,8 +26,8 @@ class Ellipsoid:
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed orthogonal distance of points (k, 3), positive outside, m; shape (k,).
 
-        To first order in distance over radius of curvature. For the millimetre or so by which a
-        membrane differs from an ellipsoid, the error of this is far below the noise.
+        To first order in distance over radius of curvature. A membrane differs from an ellipsoid by
+        a millimetre or so, for which the error of this approximation is far below the noise.
         """
         _, radius, slope = self._scaled(points)
         return (radius - 1.0) * radius / slope
@@ -99,7 +99,7 @@ def fit_ellipsoid(points: np.ndarray, sphere: Ellipsoid | None = None) -> Ellips
 
 
 def _fit(points: np.ndarray, surface: Ellipsoid, *, sphere: bool) -> Ellipsoid:
-    """Robust least squares on few points, at the spread of the first fit again, then on all."""
+    """Robust least squares, twice on few points and then on all, at the last fit's spread."""
     few = _subsample(points)
     for some in (few, few, points):
         surface = refitted(some, surface, sphere=sphere)

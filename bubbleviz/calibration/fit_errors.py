@@ -17,7 +17,7 @@ from bubbleviz.recordings import student_factor
 _MIN_TILES = 30  # fewer determine their spread poorly
 _RINGS = 4
 """Parts of the view for the jackknife, from rim to top, each larger than the correlation length of
-model errors. What differs between left and right is an unknown of the fit."""
+model errors. Differences between left and right are unknowns of the fit."""
 
 
 def tile_side(pixels: int, correlation_length_px: float) -> int:

@@ -37,9 +37,9 @@ _FILE = "the sensor file"
 
 @dataclass(frozen=True)
 class Identification:
-    """A sensor identified from its contact-free frames, or what the steps so far have found.
+    """A sensor identified from its contact-free frames, or the results of the steps so far.
 
-    Results of later steps are None; those of `Step.TENSION` make it `complete`.
+    Results of later steps are None; with those of `Step.TENSION` it is `complete`.
     """
 
     given: Sensor = NOT_YET  # the sensor file before identification
@@ -82,8 +82,9 @@ class Identification:
     def tension(self) -> Quantity:
         """γ0, N/m: the uniform tension that balances the gauge pressure over the chosen surface.
 
-        That of rubber varies, and is lower near the clamped rim: by a third on another solver's
-        dome, of which 22 % is hidden there, so that γ0 of the extrapolated surface is 4 % higher.
+        The tension of rubber varies, and is lower near the clamped rim: by a third on another
+        solver's dome. As 22 % of that dome is hidden near the rim, γ0 of the extrapolated surface
+        is 4 % higher.
         """
         shape, other = self.tension_by_shape, self.surfaces.tension_m.value * self.gauge.half_width
         low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
@@ -187,17 +188,17 @@ def open_chamber(source: FrameSource) -> Quantity:
 def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = None) -> Quantity:
     """Gauge pressure of the contact-free frames, Pa.
 
-    With the pressure of the open chamber, the difference of both recorded gas pressures. Else the
-    sensor file's where it has a standard deviation, or no gas pressure was recorded. Else the
-    recorded pressure less the sensor file's atmospheric pressure, with the deviation of weather,
-    and of altitude if that is the standard atmosphere. The same deviation has a gauge pressure in
-    the file without one, since it may have been found in that way.
+    With the pressure of the open chamber, it is the difference of both recorded gas pressures.
+    Otherwise it is the sensor file's if that has a standard deviation, or if no gas pressure was
+    recorded. Otherwise it is the recorded pressure minus the file's atmospheric pressure, with the
+    standard deviation of weather, and of altitude if that is the standard atmosphere. A gauge
+    pressure in the file without a standard deviation has the same, as it may have been found in
+    that way.
 
-    Where the recorded pressure differs from that of a file with a local atmospheric pressure, the
-    weather or the inflation has changed, so the difference, up to the weather's, adds to the file's
-    deviation.
-    Altitude lowers the atmospheric pressure, so the gauge pressure above the standard atmosphere is
-    the least there may be: a higher one in the file is taken.
+    If the recorded pressure differs from that of a file with a local atmospheric pressure, weather
+    or inflation has changed, so the difference, up to that of weather, is added to the file's
+    standard deviation. Altitude lowers the atmospheric pressure, so the recorded pressure minus the
+    standard atmosphere is a lower bound of the gauge pressure: a higher one in the file is used.
     """
     name, gas, pneumatics = samples.source_name, samples.gas_pressure_pa, sensor.pneumatics
     in_file, file_sigma = pneumatics.gauge_pressure_pa, pneumatics.gauge_sigma_pa

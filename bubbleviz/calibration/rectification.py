@@ -14,8 +14,8 @@ from bubbleviz.recordings import robust_sigma
 
 _TOLERANCE = 3.0  # standard deviations of a sample beyond the outermost levels
 _LARGEST_SPREAD = 0.1
-"""Largest standard deviation of pixels' gains that the fit accepts; chosen: those of depth cameras
-differ by some percent. A pixel five times as far from 1 is stuck, or sees something else."""
+"""Largest standard deviation of pixels' gains that the fit accepts; chosen: gains of depth cameras
+differ by a few percent. A pixel five times as far from 1 is stuck, or sees something else."""
 
 
 def rectify(
@@ -86,7 +86,7 @@ def fit_lines(
             "rectification: no pixel is valid at every level; record the levels with the membrane "
             "in view"
         )
-    variance = 1.0 / np.maximum(information, 1.0)  # a standard error of 1 says nothing
+    variance = 1.0 / np.maximum(information, 1.0)  # beyond a standard error of 1, nothing is known
     better = known & (variance <= np.median(variance[known]))
     spread = robust_sigma((score * variance)[better], center=0.0) ** 2 - variance[better].mean()
     prior = np.clip(spread, 0.0, _LARGEST_SPREAD**2)

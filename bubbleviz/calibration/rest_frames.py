@@ -44,7 +44,7 @@ class FrameSamples:
 
 
 def traced_pixels(statistics: DepthStatistics) -> tuple[np.ndarray, int]:
-    """Evenly spread pixels (k,) that return as often as usual, and their stride among those."""
+    """Evenly spread pixels (k,) of those that return as often as usual, and their stride."""
     regular = np.flatnonzero(statistics.validity >= statistics.regular_validity)
     stride = max(1, len(regular) // _TRACED_PIXELS)
     return regular[::stride], stride
@@ -234,9 +234,9 @@ def rim_height(
 ) -> tuple[float, float]:
     """Height of the rim and its uncertainty, m, from heights of the cloud's outer edge.
 
-    Some points of the edge lie on the rim, all at one height; others, where depth ends early, at
-    any height above it. So the rim is the mode of the heights (repeated selection of the densest
-    half). The uncertainty is half the width of the densest quarter.
+    Some points of the edge lie on the rim, all at one height; where depth ends early, others lie
+    above it. So the rim is the mode of the heights (repeated selection of the densest half). The
+    uncertainty is half the width of the densest quarter.
     """
     heights = np.sort(edge_heights_m[np.isfinite(edge_heights_m)])
     if not len(heights):

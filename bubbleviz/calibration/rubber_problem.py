@@ -1,19 +1,19 @@
 """Least-squares problem for pre-stretch and gauge pressure, from inflation levels or a press.
 
-The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except for
-what an oval rim leaves open: the stress lies between that of a film and that of an initially flat
-sheet, at a share from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose stiffness μh may
-change linearly with x and y, and from middle to rim. When the gas pressure changes by a measured
-Δp, the shape depends on q, on (G + Δp)/G, on that share and gradient, and in a press on the contact
-pressures. The unknowns are q, G, the share, the gradient, the contact pressures of the nodes in the
-dent (an inflation level has none), and the errors of the gas pressures. The residuals are the
-changes of range from rest, in which fixed errors of camera and mesh cancel, the difference from the
-G of the sensor file or open chamber, those of the share and the gradient from what is likely, and
-the pressure errors, each over its standard deviation.
+The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except on oval
+rims: there the stress lies between that of a film and that of an initially flat sheet, at a share
+from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose stiffness μh may change linearly with
+x and y, and from middle to rim. When the gas pressure changes by a measured Δp, the shape depends
+on q, on (G + Δp)/G, on that share and gradient, and in a press on the contact pressures. The
+unknowns are q, G, the share, the gradient, the contact pressures of the nodes in the dent (an
+inflation level has none), and the errors of the gas pressures. The residuals, each over its
+standard deviation, are the changes of range from rest, in which fixed errors of camera and mesh
+cancel; the differences of G from the sensor file or open chamber, and of share and gradient from
+their prior means; and the pressure errors.
 
-The noise of a hundred thousand pixels averages out, and would outweigh the prior knowledge, but
-model errors do not. So the range residuals are tempered: their weight is divided by the ratio of
-the variance of G with model errors to that by noise alone.
+The noise of a hundred thousand pixels averages out, but model errors do not, so the ranges would
+outweigh the prior knowledge. So their residuals are tempered: their weight is divided by the ratio
+of the variance of G with model errors to that due to noise alone.
 """
 
 from __future__ import annotations
@@ -67,35 +67,36 @@ from bubbleviz.sensor import LARGEST_GRADIENT, Sensor
 SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which differs little from constant tension, to 1.005."""
 _INITIAL_Q = (0.35, 0.7, 0.05)
-"""λ of 1.19; then 1.06 and 1.65 where the shapes have no equilibrium, or the fit runs to constant
-tension, as it may where the gauge pressure is far too low."""
+"""λ of 1.19; then 1.06 and 1.65, if the shapes have no equilibrium or the fit runs to constant
+tension, as it may if the gauge pressure is far too low."""
 _MIN_GAUGE = 0.1  # over the initial or the found gauge pressure
 _SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
 """Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
 _GRADIENT_SIGMA = 0.1
-"""Standard deviation of a gradient, which is half the range of stiffness over the membrane. By ISO
-3302-1 a moulded thickness of 1 mm has a tolerance of ±0.10 (M1), ±0.15 (M2) or ±0.40 mm (M3): ±0.2
+"""Standard deviation of a gradient, which is half the range of stiffness over the membrane. In ISO
+3302-1 a moulded thickness of 1 mm has a tolerance of ±0.10 (M1), ±0.15 (M2) or ±0.40 mm (M3); ±0.2
 is taken as the 95 % interval."""
 _RUBBER, _MATERIAL = [0, 2, 3, 4, 5], 6
-"""Places of q, share and gradient, and number of unknowns before the contact pressures, of which
-the second is G over the initial one."""
+"""Indices of q, share and gradient among the unknowns, and number of unknowns before the contact
+pressures; index 1 is G over its initial value."""
 _NO_NODES = np.zeros(0, int)
 _STEP = 1e-3  # of q, relative, of the share and of the gradient, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
 PRESSURE_ERROR = 0.01
 """Standard deviation of gas pressure differences between recordings, over their largest gauge
 pressure. Data sheets of silicon pressure sensors give a total error band of ±1 to ±2 % of full
-scale, by zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and full scale is at
-least that pressure: ±2 % is taken as the 95 % interval. Frames of one recording share zero and
-temperature, so a press within it does not have this error."""
+scale, due to zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and full scale is
+at least that pressure; ±2 % is taken as the 95 % interval. Frames of one recording share zero and
+temperature, so a press in the same recording does not have this error."""
 _EDGE_OF_DENT = 0.25
-"""Share of a dent's largest depth beyond which nodes may be in contact. A flat plate that covers a
-dome to 0.85 of its radius has its contact edge there; smaller or rounder objects have it deeper."""
+"""Share of a dent's largest depth beyond which nodes may be in contact. The contact edge of a flat
+plate that covers a dome to 0.85 of its radius is at this depth; that of smaller or rounder objects
+is deeper."""
 _TOLERANCE = 3e-4  # relative change of the sum of squares that ends the fit, far below its noise
 _MAX_EVALUATIONS = 60
 _PRESSURE_STEP = 10.0
-"""Contact pressure over the gauge pressure in the trust region's norm: the first step, from no
-contact to some hundred nodes of up to a few gauge pressures, is then taken whole."""
+"""Scale of contact pressures in the trust region's norm, in gauge pressures: the first step, from
+no contact to some hundred nodes with up to a few gauge pressures, is then not shortened."""
 _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses the membrane
 
 T = TypeVar("T")
@@ -106,7 +107,7 @@ Rubber = Callable[..., RubberMembrane]
 def _rest_rubber(
     mesh: MembraneMesh,
     slack_m: float | None,  # as in `RubberMembrane`
-    # stress at rest of a film, as of `Prestress.on`, and that of an initially flat sheet less it
+    # stress at rest of a film, as of `Prestress.on`, and the excess of an initially flat sheet
     film: np.ndarray,
     open_stress: np.ndarray,
 ) -> Rubber:
@@ -120,7 +121,7 @@ def _rest_rubber(
 
 
 def _film_stress(mesh: MembraneMesh, degree: int = STRESS_DEGREE) -> np.ndarray:
-    """Stress by statics that is the closest to that of a film of uniform tension."""
+    """The stress in equilibrium that is closest to a film of uniform tension."""
     return Prestress.of(mesh, 1.0, degree).on(mesh)
 
 
@@ -131,9 +132,8 @@ Shape = tuple[ShapeRanges, Factor]
 class RubberProblem:
     """Least squares in q, G, share, gradient, contact pressures, and errors of gas pressures.
 
-    G is over the initial one, contact pressures over G.
-
-    The latter are the errors of the gas pressures of rest and shapes, in standard deviations.
+    G is relative to its initial value, contact pressures to G, and the errors of the gas pressures
+    of rest and shapes to their standard deviations.
 
     Raises InputError: a shape without gas pressure, with too small a change of it, or without dent.
     """
@@ -297,8 +297,8 @@ class RubberProblem:
     def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Least squares over the shapes alone, and with a prior of relative σ on G.
 
-        Returns q, G over the initial one, share and gradient of both, (2, 6), their covariances
-        with model errors, (2, 6, 6), and the robust rms of the residuals of the second, m.
+        Returns for both fits q, G over its initial value, share and gradient, (2, 6), and their
+        covariances with model errors, (2, 6, 6); and the robust rms residual of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
         alone, others_m, temper = self._alone()
@@ -310,7 +310,7 @@ class RubberProblem:
         return both, np.stack([covariance, with_prior]), unexplained
 
     def _alone(self) -> tuple[np.ndarray, list[np.ndarray], float]:
-        """Fit without a prior on G, what other models say near it, and the tempering."""
+        """Fit without a prior on G, errors by other models near it, and the tempering."""
         found: tuple[np.ndarray, list[np.ndarray], float] | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
@@ -404,7 +404,7 @@ class RubberProblem:
         gauge_sigma: float,
         temper: float,
     ) -> tuple[np.ndarray, float]:
-        """Of the material, with the variance of G by the shapes over that by white noise."""
+        """Covariance of the material, and variance of G by the shapes over that by white noise."""
         (slopes, by_stress), residuals = self._slopes(vector), self._residuals(vector).ravel()
         root, change_m = self._root.ravel() / self._scale(vector), self._change_m.ravel()
         root, z = np.nan_to_num(root), residuals * root
@@ -452,7 +452,7 @@ class RubberProblem:
         return covariance, temper
 
     def _other_models(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Errors of the modelled changes, (S·B,), m, by a stress and a surface less well known."""
+        """Errors of the modelled changes, (S·B,), m, due to errors of stress and surface."""
         # Stress at rest follows from curvature. On simulated round sheets and domes a fitted cap
         # moves G by −2 %, and the free form by +2 and −4 % (by 0 without noise).
         mesh, other = self._mesh, self._surfaces.other_mesh
@@ -566,8 +566,8 @@ def collect_press(
 ) -> FrameSamples | None:
     """Frames of the highest gas pressure after the contact-free ones.
 
-    None if fewer than five, or if no press raises the pressure by ten times its noise. The first
-    frames are left out: a camera's temporal filter still mixes earlier images into them.
+    None if there are fewer than five, or if no press raises the pressure by ten times its noise.
+    The first frames are left out: a camera's temporal filter still mixes earlier images into them.
     """
     free, pressures = samples.gas_pressure_pa, []
     if free is None:
@@ -645,15 +645,15 @@ def _with_parameters(
 ) -> Identification:
     """The same with the parameters of the rubber, or the reason why λ is not determined.
 
-    λ counts as determined unless its interval at the gauge pressure found holds 1. One that holds
-    constant tension ends at the largest λ: rubber of the best λ is nearer to the truth than that.
-    The gauge pressure G and q, by which λ is told, can change together and fit almost as well:
-    along a curve between straight lines in G and in log G (on an oval of uneven thickness, from 3
-    to 10 kPa, dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37). So each
-    end of the interval of q is by the line that is farther away.
+    λ counts as determined unless its interval at the gauge pressure found contains 1. An interval
+    that contains constant tension ends at the largest λ: rubber with the best λ is still nearer to
+    the truth than constant tension. The gauge pressure G and q, which determines λ, can change
+    together and fit almost as well, along a curve between straight lines in G and in log G (on an
+    oval of uneven thickness, from 3 to 10 kPa, dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G
+    rises from 0.24 to 0.37). So each end of the interval of q follows from the line farther away.
     """
     kind, q, surfaces = known.shapes_kind, float(values[0]), known.surfaces
-    slope = float(covariance[0, 1] / covariance[1, 1])  # of q over G, in the valley
+    slope = float(covariance[0, 1] / covariance[1, 1])  # of q over G, along that curve
     at_gauge = HALF_95 * float(np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0)))
     if q < 1.01 * SMALLEST_Q:
         return replace(known, why_not=f"the {kind} fit a constant tension best")
@@ -680,9 +680,9 @@ def _sigma_of_mean(known: Identification, mean: Quantity) -> float:
     """Standard deviation of the mean of the gauge pressures from shapes and sensor file, Pa.
 
     Model errors are the same in every recording and may have the sign of the file's error. So in
-    the weighted mean the two errors add linearly, not in squares. A difference of the two gauge
-    pressures beyond their deviations widens the interval as the Particle Data Group does. Beyond
-    their 95 % intervals one of them is wrong, and the interval covers both of theirs.
+    the weighted mean the two errors add linearly, not in quadrature. If the two gauge pressures
+    differ by more than their standard deviations, the interval is widened as by the Particle Data
+    Group. If their 95 % intervals do not overlap, one is wrong, and the interval covers both.
     """
     assert known.gauge_candidates is not None
     shapes, file = known.gauge_candidates

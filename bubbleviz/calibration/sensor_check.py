@@ -1,8 +1,9 @@
 """Check of a sensor file against contact-free frames, and the force error of a misfit.
 
 The mean of the frames is compared with the range that the sensor file predicts, with the blocks of
-pixels and the noise of the estimator. Least squares explain a change by the estimator's errors of a
-whole image and by the gas pressure, whose effect on the shape is uncertain by the material.
+pixels and the noise of the estimator. A least-squares fit explains a change by errors of the whole
+image, as in the estimator, and by the gas pressure; its effect on the shape is uncertain, as the
+material is.
 """
 
 from __future__ import annotations
@@ -246,7 +247,7 @@ class _RestComparison:
 
     @cached_property
     def shape(self) -> CheckRow:
-        """Residual without the causes, which explain the change if it is the noise of one frame."""
+        """Residual without the causes; if it is the noise of one frame, they explain the change."""
         square = np.average(self._without(self.causes) ** 2, weights=1.0 / self.frame_variance_m2)
         rms_m, limit_m = float(np.sqrt(square)), self._detectable(1.0, self.frame_variance_m2)
         todo = "identify the sensor again" if rms_m > limit_m else ""
@@ -256,8 +257,8 @@ class _RestComparison:
     def _by_gas(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivative of the residuals by the gas pressure, (B,), m/Pa, and its errors (k, B).
 
-        The latter are those of the material, each by one standard deviation. The response is
-        nonlinear: these are secants to the change of pressure that explains the most.
+        The errors are changes of it by one standard deviation of each material parameter. The
+        response is nonlinear: these are secants to the change of pressure that explains the most.
         """
         sensor, mesh = self.model.sensor, self.model.mesh
         gauge, stress = sensor.pneumatics.gauge_pressure_pa, rest_stress(sensor, mesh)
@@ -291,15 +292,15 @@ class _RestComparison:
     def causes(self) -> tuple[int, ...]:
         """Numbers of the causes, all of them beyond their intervals and limits.
 
-        None where the change is not significant. Else causes are added until χ² per block is at
-        most 1, that of noise: of each number of causes those with the least χ².
+        None if the change is not significant. Otherwise causes are added until χ² per block is at
+        most 1, the value of noise: for each number of causes those with the least χ².
         """
         chosen: tuple[int, ...] = ()
         limit = self.chi2_limit
         while len(chosen) < len(_CAUSES) and self._chi2_without(chosen) > limit:
             best = min(combinations(range(len(_CAUSES)), len(chosen) + 1), key=self._chi2_without)
             for cause in best:
-                # the material scales the effect of the gas, so it matters to its size only
+                # errors of the material scale the effect of the gas: they matter only for its size
                 size, half = self._size(cause, best, material=cause != _GAS)
                 if abs(size) <= max(half, self._limit(cause)):
                     return chosen
@@ -314,7 +315,7 @@ class _RestComparison:
     def _inflation(self) -> tuple[float, float]:
         """Change of the gas pressure behind the membrane as measured, and its σ, Pa.
 
-        As in an identification, the weather may have caused the change, but does not hide one.
+        As in an identification, weather may have caused the change, but does not hide one.
         """
         if not np.isfinite(self.gas_change_pa):
             return 0.0, np.inf
@@ -340,10 +341,10 @@ class _RestComparison:
     ) -> tuple[float, float]:
         """Size of a cause fitted with others, and half of its 95 % interval.
 
-        By the images and the measured gas pressure. The interval combines the variation between
-        frames (about a straight line: a drift that goes on is no noise), the residuals of squares
+        From the images and the measured gas pressure. The interval combines the variation between
+        frames (about a straight line, as a continuing drift is not noise), the residuals of squares
         of blocks, the differences between rings from rim to top, and the error of the material
-        unless left out.
+        unless it is left out.
         """
         causes = (cause, *(each for each in causes if each != cause))
         influence, left_m = self._influence(causes), self._without(causes)

@@ -47,9 +47,9 @@ NOT_YET: Any = None  # value of a result whose step was not done
 _SCALE = 0.5  # of the rim's smaller semi-axis: the cap alone fits broader shapes
 _STANDARD_ERRORS = 3.0  # strict, as overfitting costs more than a surface that is too simple
 _PIXELS_A_NODE = 40
-"""Pixels fitted for each node; of images with more, rows and columns are left out. The error of γ0
-by their noise is then still an eighth of that by hidden and unresolved shape, or less (real press,
-simulated domes with white noise of 0.1 mm)."""
+"""Pixels fitted per node; larger images are thinned by rows and columns. The error of γ0 due to
+their noise is then still at most an eighth of the error due to hidden and unresolved shape (real
+press, simulated domes with white noise of 0.1 mm)."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class Surfaces:
     def stress_sigma(self) -> float:
         """Relative standard deviation of a film's stress at a given gauge pressure, by its shape.
 
-        What the shape leaves open is an unknown of the rubber's fit itself.
+        The part of the stress that the shape does not determine is an unknown of the rubber's fit.
         """
         own = [part for name, part in self.tension_parts_m.items() if name != "statics"]
         return float(np.linalg.norm(own)) / self.tension_m.value
@@ -232,7 +232,7 @@ def _left_out_squares(
 
 
 def _choose(squares: dict[SurfaceName, np.ndarray], facet_error_m: float) -> SurfaceName:
-    """The simplest surface that none is significantly better than."""
+    """The simplest surface such that no other is significantly better."""
     chosen: SurfaceName = "sphere"
     for name in SURFACE_NAMES[1:]:
         gain = squares[chosen] - squares[name]
@@ -340,9 +340,9 @@ def _of_cap(
 ) -> tuple[dict[str, float], np.ndarray, Ellipsoid]:
     """Dimensions of the chosen cap, m, with σ by errors of single pixels; cap of the upper half.
 
-    The latter is fitted to the upper half of the points alone. On a sphere or an ellipsoid its γ0
-    equals that of the full fit, up to noise. An inflated sheet differs from either by micrometres,
-    with an error of γ0 of about the difference of the two fits.
+    The latter is fitted to the upper half of the points alone. If the membrane is a sphere or an
+    ellipsoid, its γ0 equals that of the full fit, up to noise. An inflated sheet differs from both
+    shapes by micrometres, and the difference of the two fits is about the error of γ0.
     """
     cap, sphere = surfaces.chosen_cap, surfaces.chosen == "sphere"
     pixels = np.flatnonzero((surfaces.fitted & np.isfinite(samples.statistics.range_m)).ravel())
@@ -355,7 +355,7 @@ def _of_cap(
     squares = np.sum(gradient * np.linalg.solve(weighted @ J, gradient), axis=0)
     kind = ("radius_m",) if sphere else tuple(f"semi_axis_{axis}_m" for axis in "xyz")
     names = "height_m", *kind, *(f"rim_{name}" for name in kind[:2])
-    up = cap.normals(points)[:, 2]  # noise hardly turns them, while it selects points by height
+    up = cap.normals(points)[:, 2]  # noise hardly turns normals, but would select points by height
     upper = refitted(points[up > np.median(up)], cap, sphere=sphere)
     values = _sizes(cap, 0.0 * step[0]).tolist()
     return dict(zip(names, values, strict=True)), sigma * np.sqrt(squares), upper

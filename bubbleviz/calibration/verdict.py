@@ -30,7 +30,7 @@ _OF_TENSION = {
     "surface": "uncover the whole dome, rim included, and record more frames (largest error: shape "
     "that is hidden, or below noise and fixed pattern of the pixels)",
 }
-"""What would narrow γ0's interval, by its largest part."""
+"""What would narrow γ0's interval, by the largest source of its error."""
 
 
 def pascals(pressure_pa: float) -> str:
@@ -129,7 +129,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 
 
 def parameters(found: Identification, pressure: PressureText = pascals) -> list[dict[str, str]]:
-    """What is determined by which data: γ0, gauge pressure, and the parameters of the rubber.
+    """Which data determine γ0, gauge pressure, and the parameters of the rubber.
 
     Each row has a `name`, the `value` with its 95 % interval, what it is `told_by`, or why it is
     not determined, and what makes the interval `narrower`.

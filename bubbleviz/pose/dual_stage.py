@@ -32,21 +32,21 @@ from bubbleviz.result import Pose
 
 _PREDICTION_ERROR_M, _START_ERROR_M = 2e-3, 5e-3  # possible error of a prediction; of a first pose
 _TRACKING_ITERATIONS, _FIRST_ITERATIONS, _SEARCH_ITERATIONS = 1, 12, 6
-"""Iterations of each stage while tracking, where the fit to the depth image follows; from an
-initial pose; and to compare initial poses."""
+"""Iterations of each stage: while tracking, as the fit to the depth image follows; from an initial
+pose; and to compare initial poses."""
 _STEP_M = 1.5e-3
-"""Longest step of the patch's edge, and its motion from a frame's first linear model, that of the
-last frame: the membrane around an edge is curved over a few mm, and derivatives are valid over half
-of that."""
+"""Longest step of the patch's edge, and its largest motion within a frame from the linear model of
+the last frame: the membrane around an edge is curved over a few mm, and derivatives are valid over
+half of that."""
 _VALID_M, _CONVERGED_M = 1e-3, 2e-4
-"""Motion of the patch's edge from that of a linear model up to which it is reused from frame to
-frame, and the first pose of an object has converged. At two thirds of the longest step the error of
+"""Motion of the patch's edge up to which a linear model is reused from frame to frame, and step up
+to which the first pose of an object has converged. At two thirds of the longest step the error of
 the derivatives is less than half."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 _FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 _AS_LIKELY = 2.0 * np.log(20.0)
-"""Difference of misfits, in units of the noise, squared, at which one of two poses is 20 times as
-likely as the other, which is then refuted."""
+"""Difference of χ² at which one of two poses is 20 times as likely as the other, which is then
+refuted."""
 
 
 class Solution(NamedTuple):
@@ -77,7 +77,7 @@ class Solver:
         return ImageFit(own.observer, pressed, self._registration.precision)
 
     def reset(self) -> None:
-        """Drop the earlier pose."""
+        """Forget the previous pose."""
         if "_image" in vars(self):
             self._image.reset()
 
@@ -126,11 +126,11 @@ class Solver:
         contact: ContactPoints,
         starts: np.ndarray,
         finalists: int,
-        known: Solution | None = None,  # kept unless another is more likely
+        known: Solution | None = None,  # kept unless another solution is more likely
     ) -> Solution | None:
         """Both stages from the best of initial poses (s, 4, 4); None if none fits.
 
-        The pose has the others that fit as well.
+        The pose lists the other poses that fit as well.
         """
         motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
         coarse = [
@@ -214,8 +214,8 @@ TURNS = (
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
 _SAMPLES, _ALIGNING, _ALIKE = 200, 6, 0.02
-"""Points of an object that are compared with its surface, steps of their registration, and their
-distance over its size up to which it looks the same; chosen."""
+"""Number of points of a turned object that are compared with its surface, steps of their
+registration, and distance over the object's size up to which it looks the same; chosen."""
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _CLIPPED_M = 5e-3  # larger distances are clipped
 
@@ -223,9 +223,9 @@ _CLIPPED_M = 5e-3  # larger distances are clipped
 def looking_different(
     model: ObjectSurface, T_B_O: np.ndarray, others: Sequence[np.ndarray]
 ) -> np.ndarray:
-    """Those of other poses (r, 4, 4) that turn the object so that it looks different.
+    """Those of other poses (r, 4, 4) in which the object looks different.
 
-    From the given pose and from each other. Shifts do not count, as a flat face slides.
+    Different from the given pose and from each other. Shifts do not count, as a flat face slides.
     """
     kept = [T_B_O]
     for other in others:
@@ -235,13 +235,13 @@ def looking_different(
 
 
 def looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
-    """Whether a turn (3, 3), or one by less than half the angle between starts away, is a symmetry.
+    """Whether a turn (3, 3), or another within half the angle between starts, is a symmetry.
 
-    Points of the turned surface are registered to it, by rotation alone.
+    Points of the turned surface are registered to the surface, by rotation alone.
     """
     points, R = model.sample(_SAMPLES)[0], Rotation.from_matrix(turn)
     middle = model.facet_areas @ model.obj.vertices[model.triangles].mean(axis=1)
-    middle /= model.facet_areas.sum()  # which every symmetry keeps
+    middle /= model.facet_areas.sum()  # centroid, which every symmetry keeps
     arms = points - middle
     for _ in range(_ALIGNING):
         turned = R.apply(arms)
@@ -332,7 +332,7 @@ class InitialPoseFinder:
 def _on_patch(
     direction: np.ndarray, support: np.ndarray, center: np.ndarray, normal: np.ndarray
 ) -> np.ndarray:
-    """Poses (t, 4, 4) that lay a direction of O against the membrane, support on the centre."""
+    """Poses (t, 4, 4) with a direction of O against the membrane, its support at the centre."""
     turned, _ = Rotation.align_vectors(-normal[None], direction[None])
     angles = np.arange(TURNS) * 2.0 * np.pi / TURNS
     rotations = (Rotation.from_rotvec(angles[:, None] * normal) * turned).as_matrix()

@@ -1,7 +1,7 @@
 """Pose fit to the whole depth image, compared with the membrane predicted for the object.
 
 Contact normals do not change when a flat face slides or turns in its plane, but the membrane around
-it does; and the contact follows from the model of the membrane, not from a threshold.
+it does. The contact follows from the model of the membrane, not from a threshold.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ _AROUND_M = 8e-3  # around the patch pixels are compared; further away the membr
 _OUTLIER_SIGMAS = 4.0  # residual in standard deviations that reduces a pixel to a quarter
 _MIN_SIGMA_M = 5e-4  # lower bound of the noise, below which model errors dominate
 _MODEL_DEVIATION_M = 5e-4
-"""Model error of the membrane around the contact, as motions of the object in the directions that
-the contact determines: stiffness and gas are known no better."""
+"""Model error of the membrane around the contact, due to stiffness and gas, expressed as motions of
+the object in the directions that the contact determines."""
 
 
 @dataclass(frozen=True)
@@ -43,26 +43,27 @@ class PredictedImage:
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the press's centre
     on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
-    square: np.ndarray  # (b,) int, in which they are, as wide as the estimate's resolution
+    square: np.ndarray  # (b,) int, their square of the image, as wide as the estimate's resolution
     area_m2: float  # of the membrane in these pixels
     press: Press
-    by_loads_m: float = 0.0  # motion of a node, at most, by friction and gas pressure since then
+    by_loads_m: float = 0.0  # largest motion of a node by changes of friction and gas pressure
 
     def at(self, T_B_O: np.ndarray) -> np.ndarray:
         """Expected residuals at a nearby pose, (b,)."""
         return self.expected_m + self.jacobian @ self._motion_to(T_B_O)
 
     def slopes_at(self, T_B_O: np.ndarray, center: np.ndarray) -> np.ndarray:
-        """Derivatives (b, 6) there by small motions about a centre (3,).
+        """Derivatives (b, 6) at a nearby pose by small motions about a centre (3,).
 
-        They move along with the object, as does the axis about which a round one spins in itself.
+        They move along with the object, as does the axis about which a round object can spin
+        without effect.
         """
         motion = self._motion_to(T_B_O)
         there = turning(motion).T @ about(center, self.press.center + motion[:3])
         return self.jacobian @ there
 
     def way_m(self, T_B_O: np.ndarray, radius_m: float) -> float:
-        """Upper bound of the motion of a patch's edge since the press, but for spins in itself."""
+        """Upper bound of the patch edge's motion since the press, m, without spins in itself."""
         return way_at(radius_m, self.press.seen @ self._motion_to(T_B_O)) + self.by_loads_m
 
     def _motion_to(self, T_B_O: np.ndarray) -> np.ndarray:
@@ -99,7 +100,7 @@ class ImageFit:
         self._pressed.reset()
 
     def load(self, contact: ContactPoints, gas_pressure_pa: float | None) -> None:
-        """Tell the linear model of the previous frame the friction and gas pressure of another."""
+        """Update friction and gas pressure of the linear model of the previous frame."""
         if self._predicted is not None:
             motion = self._predicted.press.motion_by(contact, gas_pressure_pa)
             self._predicted = replace(self._predicted, by_loads_m=float(np.abs(motion).max()))
@@ -117,10 +118,10 @@ class ImageFit:
     ) -> ImageStep | None:
         """One Gauss–Newton step; None if the model finds no equilibrium.
 
-        Membrane on a face is at the object's surface; the membrane around it also depends on
-        stiffness and gas. Its model error is marginalised: deviations as from a motion in the
-        directions that the contact determines. So the faces determine these directions, and the
-        surrounding membrane the others.
+        The membrane on a face is at the object's surface; the membrane around it also depends on
+        stiffness and gas. Its model error, modelled as a motion in the directions that the contact
+        determines, is marginalised. So the faces determine these directions, and the surrounding
+        membrane the others.
         """
         predicted = self.predicted(T_B_O, contact, gas_pressure_pa, valid_m=valid_m)
         if predicted is None:

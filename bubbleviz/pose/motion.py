@@ -69,9 +69,9 @@ SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
 _ACCELERATION = np.array([0.27] * 3 + [5.5] * 3)
 """Standard deviations of the initial velocity (m/s, rad/s) and of acceleration (m/s², rad/s²), the
-latter of a robot's wrist. With much less the estimate lags behind an object that turns: of a
-frustum and a nut that turn by ±12° at 0.7 Hz it lagged with 0.11 rad/s², not with 1.6. On a bridge
-and two spheres that turn by ±8° at 1.1 Hz, not used for this choice, ellipsoids hold, too."""
+latter of a robot's wrist. With much less the estimate lags behind a turning object: for a frustum
+and a nut that turn by ±12° at 0.7 Hz it lagged with 0.11 rad/s², but not with 1.6. For a bridge and
+two spheres that turn by ±8° at 1.1 Hz, not used for this choice, ellipsoids contain the poses."""
 
 _MAX_COAST_S = 0.5  # longest time to coast: motion is not known further ahead
 
@@ -80,8 +80,8 @@ _MAX_COAST_S = 0.5  # longest time to coast: motion is not known further ahead
 class Motion:
     """Pose and velocity, with their covariance.
 
-    Centre, velocity and covariance move and turn along with the object, so that what is unknown, as
-    a ball's turn about its own centre, stays the same motion of the object wherever it goes.
+    Centre, velocity and covariance move and turn along with the object, so that an undetermined
+    motion, such as a ball's rotation about its centre, stays the same motion of the object.
     """
 
     T_B_O: np.ndarray  # (4, 4)

@@ -1,10 +1,10 @@
 """Contact patch from the object's surface at its estimated pose.
 
 The exact membrane is pressed by the object at its pose, on a mesh twice as fine around the contact,
-and the patch is the contact area of that press. Noise enters by the pose only, and the estimate's
-resolution does not blur it. A threshold of the distance to the object would not do: membrane leaves
-a round object so gradually that 0.1 mm more moves the edge by 1.5 mm. Where the membrane leaves the
-object at a sharp edge, the patch ends at that edge.
+and the patch is the contact area of that press. Noise enters only through the pose, and the
+estimate's resolution does not blur the patch. A threshold on the distance to the object would not
+do: the membrane leaves a round object so gradually that 0.1 mm more moves the edge by 1.5 mm. Where
+the membrane leaves the object at a sharp edge, the patch ends at that edge.
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ Points of the object that are inside the membrane push it outward:
 
 Friction t is that of the estimate. Its change by the object's motion is not part of the derivative.
 
-Newton's method from the membrane of the last pose, in a `Submodel` around the contact; the last
-tangent also gives the derivative by the object's motion. An edge that moves over the membrane takes
-its load along, so that sliding of a flat face in its own plane is observable.
+Newton's method starts from the membrane of the last pose, in a `Submodel` around the contact; the
+last tangent also gives the derivative by the object's motion. An edge that moves over the membrane
+takes its load along, so that sliding of a flat face in its own plane is observable.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class PressOptions:
 
     # distance around the patch in which the mesh is twice as fine; 0: nowhere
     finer_m: float = 0.0
-    # Newton step that counts as converged: one of 0.5 mm leaves its square over the size of a
-    # triangle, less than 0.1 mm
+    # Newton step that counts as converged: a step of 0.5 mm leaves an error of its square over the
+    # size of a triangle, less than 0.1 mm
     converged_m: float = 5e-4
     # limit for one pose; from the estimated membrane some four are needed
     max_steps: int = 10
@@ -54,9 +54,10 @@ class PressOptions:
 
 
 _SPACING_EDGES = 0.25
-"""Distance of the object's points in edges of the mesh. Several share a triangle, and edges, on
-which they are twice as dense, pass from one triangle to the next without a jump. On roundings as
-narrow as a triangle, chords of half an edge would be 0.1 to 0.3 mm off: poses of pucks were."""
+"""Spacing of the object's points, in edges of the mesh. Several points share a triangle, and edges
+of the object, where points are twice as dense, move from one triangle to the next without a jump.
+On roundings as narrow as a triangle, a spacing of half an edge made poses of pucks 0.1 to 0.3 mm
+wrong."""
 _SOFTNESS_M = 2e-5
 """Penetration of a face under twice the gauge pressure, and of an edge under the mean tension: far
 below depth noise, yet not stiffer than the membrane's own triangles, so that Newton's method
@@ -64,14 +65,14 @@ converges without a line search."""
 _MAX_DEPTH_M = 6e-3  # inside the membrane, beyond which a point is on the far side of the object
 _MAX_COSINE = -0.5
 """Cosine between the direction in which a point pushes and the membrane's normal, below which it is
-in contact. Beyond 60° the closest membrane is beside the point: that of a wall in the air above the
-membrane would count as inside it, by rounding."""
+in contact. Beyond 60° the closest membrane is beside the point: by rounding errors, a point of a
+wall in the air above the membrane would count as inside it."""
 _MAX_STEP_M = 3e-3  # of Newton's method: the size of a triangle, beyond which the contact changes
 _TRIES, _NEAR = 30, 10
 _MAX_TRIES = 200_000  # random points for each one kept, and in a square of a rounding; in total
 ROUNDING_M = 1e-3
-"""Radius of edges, which are modelled as they are: objects are rounded there, the membrane has a
-thickness, and its triangles cannot follow a rounding as narrow as they are."""
+"""Radius of the object's edges in the model: objects are rounded there, the membrane has a
+thickness, and its triangles cannot follow a rounding narrower than themselves."""
 _SHARPEST = 0.05
 """Lower limit of (1 + cos(angle between the normals of an edge))/2: sharper edges are treated as
 edges of 26°, as rounding would move their tip too far back."""
@@ -111,8 +112,9 @@ def _thinned(points: np.ndarray, spacing_m: float) -> np.ndarray:
 def _cores(model: ObjectSurface, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Vectors (k, 3) from the centre of a rounding of unit radius to points (k, 3) of the surface.
 
-    The unit normal on flat faces, longer at a sharp edge, between the two where an edge is rounded
-    already: by the mean of the normals (k, 2, 3) of a sharp edge, elsewhere of those around.
+    On flat faces this is the unit normal; at a sharp edge it is longer, and in between where an
+    edge is rounded already. It follows from the mean of the normals: of the two (k, 2, 3) at a
+    sharp edge, elsewhere of those around the point.
     """
     mean = normals.mean(axis=1)
     count = min(_MAX_TRIES, int(_NEAR * model.area_m2 / ROUNDING_M**2) + _NEAR)
@@ -194,9 +196,8 @@ class ObjectContact:
 
         Second-order terms lift the membrane off a face by more than the penetration. A tangent
         without these contacts would move the membrane through the object (primal-dual active set).
-        The forces that pass over the triangles in the tangent are those expected then, as those of
-        stiff points are far off before convergence; none after a long motion, which expects too
-        much.
+        The tangent uses the forces expected after the motion, as present forces of stiff points are
+        far off before convergence; after a long motion it uses none, as they would be too large.
         """
         way = np.einsum("ca,cai->ci", touching.weights, motion[touching.corners])
         force_n = touching.force_n - np.einsum("caj,cj->c", touching.slopes_n_per_m, way)
@@ -249,10 +250,10 @@ class ObjectContact:
 
 
 def _below(points: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Points (k,) bool that may be below triangles (m, 3, 3): all that are, and few above them.
+    """Points (k,) bool that may be below triangles (m, 3, 3): all that are, and few that are not.
 
-    A bubble is below its membrane. In a grid of squares as wide as the widest triangle, those above
-    a point have their corners in its square or in a neighbour.
+    A bubble is below its membrane. In a grid of squares as wide as the widest triangle, triangles
+    above a point have their corners in the square of the point or in a neighbour.
     """
     flat, width = places[:, :, :2], np.ptp(places[:, :, :2], axis=1).max()
     low = flat.min(axis=(0, 1)) - 1.5 * width
@@ -302,7 +303,7 @@ class Press:
     nodes: np.ndarray  # (k, 3), of that part
     # (6, k, 3), their derivatives by small motions of the object in B about the centre
     slopes: np.ndarray
-    seen: np.ndarray  # (6, 6), takes such a motion to the same without spins in itself
+    seen: np.ndarray  # (6, 6), removes motions of the surface in itself from such a motion
     rounding: np.ndarray  # (k, 3), their derivative by the radius of the object's edges
     push_n: np.ndarray  # (k, 3), force of the object on each node
     # (m,) bool, triangles that faces of the object touch near all three corners, and no edge
@@ -312,7 +313,7 @@ class Press:
     gas_pa: float  # measured absolute pressure; not finite: by the gas law
 
     def motion_by(self, contact: ContactPoints, gas_pressure_pa: float | None) -> np.ndarray:
-        """Motion (k, 3) of the nodes by the change of friction and measured gas pressure since."""
+        """Motion (k, 3) of the nodes by changes of friction and measured gas pressure since."""
         forces = _friction(self.part, contact) - self.friction_n
         change_pa = _known(gas_pressure_pa) - self.gas_pa
         if np.isfinite(change_pa):
@@ -428,8 +429,9 @@ def _known(gas_pressure_pa: float | None) -> float:
 
 
 _SLIDING = np.sin(np.radians(1.0))
-"""Share of a motion across the object's surface, root mean square over the contact, below which the
-surface slides in itself: normals interpolated between facets are known no better."""
+"""Share of a motion that is normal to the object's surface, root mean square over the contact,
+below which the surface counts as sliding in itself: the accuracy of normals interpolated between
+facets."""
 
 
 def _pressed(

@@ -162,13 +162,13 @@ def object_distance(model: ObjectSurface, points: np.ndarray, T_B_O: np.ndarray)
 
 
 INLIER_M = 1.5e-3
-"""A contact point this close to the object agrees with it: three deviations of the estimate."""
+"""A contact point this close to the object agrees with it: three σ of the estimate."""
 
 MODEL_ERROR_M = 2.4e-4
 """Model error of the membrane's position, independent between areas of the size of the estimate's
-resolution, beside the error of facets. Of 0, 0.24, 0.28 and 0.4 mm the least with which ellipsoids
-held at least 93 % of true poses in each class of 280 simulated tracks. A direction is determined by
-contact if its standard deviation at the patch's edge is below the error of one such area."""
+resolution, in addition to the error of facets. Of 0, 0.24, 0.28 and 0.4 mm the least for which
+ellipsoids contain at least 93 % of true poses in each class of 280 simulated tracks. The contact
+determines a direction if its σ at the patch's edge is below the error of one such area."""
 
 _PARALLEL = np.cos(np.radians(45.0))
 """Membrane that lies on a face is parallel to it, except for the blur of the estimate."""
@@ -426,7 +426,7 @@ def open_axes(
 
 
 def spins(motions: np.ndarray) -> np.ndarray:
-    """Those of the motions (6, q) that rotate, by their rotation, (6, 3); 0 for other rotations."""
+    """Combinations (6, 3) of motions (6, q) that rotate about each axis; 0 if none does."""
     vectors, sizes, mixed = np.linalg.svd(motions[3:], full_matrices=False)
     turning = _turning(sizes)
     found: np.ndarray = motions @ mixed[turning].T @ (vectors[:, turning] / sizes[turning]).T

@@ -1,12 +1,12 @@
 """Tracks one object from frame to frame: predict, fit, detect loss, recover.
 
-The object is lost if too little of the patch lies on it, if it would have moved faster than
-hands and robots do, and while there is no contact. Then the last good pose is kept, and every frame
-tries a few more initial poses, so that no frame waits for the search.
+The object is lost if too little of the patch lies on it, if it would have moved faster than hands
+and robots do, or if there is no contact. Then the last good pose is kept, and every frame tries a
+few more initial poses, so that no frame waits for the search.
 
-A light contact fits many poses. An object that was found by search is compared with the initial
-poses not tried yet, and with those that fit as well, until they are refuted; while some are untried
-and the contact contradicts the pose, it is reported as lost.
+A light contact fits many poses. A pose found by search is compared with the initial poses not tried
+yet, and with those that fit as well, until they are refuted. While some are untried and the contact
+contradicts the pose, the object is reported as lost.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _MIN_FITNESS = 0.5  # share of the patch on the object below which the pose is l
 _FASTEST = np.array([1.0, 10.0])  # of an object pressed into a bubble, m/s and rad/s
 _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
-"""Initial poses tried in a frame, few so that no frame waits for the search, and in a first one."""
+"""Initial poses tried in a frame, few so that no frame waits for the search; and in the first."""
 _FINALISTS_AT_FIRST = 2  # the best of these, which are refined
 _UNLIKELY = 0.05  # share of true poses whose misfit counts as a contradiction
 _SAME = 1.0 + 2.0 * np.cos(np.pi / TURNS)  # trace of a turn by half the angle between starts
@@ -68,7 +68,7 @@ class PoseTracker:
         self._motion: Motion | None = None  # of the last frame with a fit
         self._good = np.full((4, 4), np.nan)  # pose last reported
         self._good_s, self._good_center, self._tried = 0.0, np.zeros(3), 0
-        # not tried yet; that fit as well; those of the latter that this frame compares
+        # poses not tried yet; poses that fit as well; those of the latter compared in this frame
         self._waiting = self._rivals = self._compared = np.zeros((0, 4, 4))
         self._waiting_at = np.zeros(3)
 
@@ -159,7 +159,7 @@ class PoseTracker:
         return replace(solution.pose, others=self._rivals.copy())
 
     def _is_known(self, other: np.ndarray) -> bool:
-        """Whether it is one of those compared in this frame, after registration."""
+        """Whether a pose is one of those compared in this frame, after registration."""
         return any(np.trace(other[:3, :3].T @ each[:3, :3]) > _SAME for each in self._compared)
 
     def _looks_new(self, other: np.ndarray) -> bool:
