@@ -1,4 +1,4 @@
-"""Means of depth images while they show the same.
+"""Means of depth images that show the same.
 
 A straight line over time is fitted to each pixel of the images around a frame, and evaluated at the
 time of the frame: a motion too slow to be detected then causes no bias. Images of an object at rest
@@ -26,7 +26,7 @@ a live frame would cost accuracy: a simulated press that oscillates by 0.04 N a 
 0.031 N with five, 0.034 N with seven, 0.038 N with ten and 0.030 N without."""
 
 _OUTLIER = 6.0
-"""Difference from the frame's own pixel, in standard deviations, beyond which one is left out."""
+"""A pixel that differs from the frame's own by more standard deviations than this is left out."""
 
 _ONE_SIGMA = 0.683  # share of Gaussian noise within one standard deviation
 
@@ -124,8 +124,8 @@ def _weights(times_s: np.ndarray) -> np.ndarray:
 def _mean(own: np.ndarray, around: list[np.ndarray], weights: np.ndarray) -> np.ndarray:
     """Weighted mean (H, W) of an image and others; NaN where the image is.
 
-    `weights` are those of the others, and the image has the rest to 1. Where a pixel of another
-    image is missing or an outlier, its weight goes to the image's own pixel.
+    `weights` are those of the others; the weight of the image is the rest, to a sum of 1. If a
+    pixel of another image is missing or an outlier, its weight goes to the image's own pixel.
     """
     mean = own.copy()
     for image, weight in zip(around, weights.astype(np.float32), strict=True):

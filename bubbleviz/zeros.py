@@ -57,13 +57,12 @@ class ImageZero:
     """Errors of the depth image, from frames without contact.
 
     A camera's errors change while it warms, not while an object touches the membrane for a second.
-    During contact they are therefore those of the frames without contact: found anew, they would
-    imitate friction and deformations that the model of the membrane lacks. They follow a random
-    walk, and those of single images scatter around it. As a contact is found some frames after it
-    began, the last `MIN_FRAMES` of consecutive frames are not used for them. Changes between all of
-    these frames tell the noise, which may be larger than in the sensor file, or correlated between
-    pixels.
-    `fixed`: not to be renewed.
+    During contact they are therefore taken from the frames without contact: estimated anew, they
+    would imitate friction and deformations that the model of the membrane lacks. They follow a
+    random walk, and errors of single images scatter around it. As a contact is found some frames
+    after it began, the last `MIN_FRAMES` of consecutive frames are not used for them. Changes
+    between all of these frames determine the noise, which may be larger than in the sensor file, or
+    correlated between pixels. `fixed`: not to be renewed.
     """
 
     def __init__(self) -> None:
@@ -227,7 +226,7 @@ class PressureZero:
             self.take(self._free)
 
     def watch(self, raw_pressure_pa: float, *, contact: bool) -> None:
-        """Notice a live sensor that repeats one value, Pa, half a second in contact and without."""
+        """Detect a live sensor that repeats one value, Pa, with and without contact."""
         if self._first_pa is None:
             self._first_pa = raw_pressure_pa
         self._changed = self._changed or raw_pressure_pa != self._first_pa

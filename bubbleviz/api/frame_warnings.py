@@ -178,7 +178,7 @@ class FrameWarnings:
 
 
 def _least_friction(result: Result) -> float:
-    """Friction over normal force, less half of the interval of the force; NaN if unknown."""
+    """Lower bound of friction over normal force, by the interval of the force; NaN if unknown."""
     estimate, patch = result.trusted_estimate, result.trusted_patch
     if estimate is None or patch is None or estimate.status == "no_contact":
         return math.nan

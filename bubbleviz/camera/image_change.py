@@ -8,8 +8,8 @@ from scipy import special
 from bubbleviz.camera.observer import MAD, Measured, RangeObserver, median
 
 _LEVEL = 0.002
-"""Significance level of each test. By some five tests, an image of a membrane at rest agrees with
-ten others in nine of ten cases."""
+"""Significance level of each test. With some five tests per pair, an image of a membrane at rest
+agrees with ten others in nine of ten cases."""
 
 _FEWEST_CELLS = 100  # in the finest grid: the scale of the noise is then known to some 15 %
 

@@ -21,7 +21,7 @@ class ImageErrors:
     mean : (4,) array
     covariance : (4, 4) array
     prior : ImageErrors or None
-        Before the image that this is estimated from.
+        Distribution before the image from which this one is estimated.
     """
 
     mean: np.ndarray

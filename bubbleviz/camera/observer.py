@@ -54,10 +54,10 @@ class BlockSquares:
     ) -> float:
         """Noise factor: σ of the errors over the expected σ; 1 if there are too few errors.
 
-        By the median of their sums over squares, in which model errors and correlated noise, which
-        are similar in neighbouring blocks, do not average out. `steady`: by the mean of the middle
-        half of them, which does not jump by the distance of two sums (5 %) if a few change, but
-        needs three quarters of the squares to be without large errors.
+        By the median of their sums over squares: model errors and correlated noise are similar in
+        neighbouring blocks, so they do not average out in a square. `steady`: by the mean of the
+        middle half of the sums, which does not jump by the distance of two sums (5 %) if a few
+        change, but needs three quarters of the squares to be without large errors.
         """
         sizes = np.abs(self._means(block, z))
         sizes = np.sort(sizes[np.isfinite(sizes)])
@@ -100,24 +100,25 @@ _HUBER = 1.345
 """Residual in σ beyond which a pixel has less weight: 95 % efficient on Gaussian noise."""
 
 _OUTLIER, _OUTLIER_SHARE = 4.0, 1e-3
-"""Outliers: Gaussian noise puts 6e-5 of the pixels beyond 4 σ, so more than 1e-3 are not noise. Nor
-is a block mean beyond 4 σ, which a single pixel at 60 m can cause."""
+"""Outliers: Gaussian noise puts 6e-5 of the pixels beyond 4 σ, so more than 1e-3 are not noise. A
+block mean beyond 4 σ, which a single pixel at 60 m can cause, is not noise either."""
 
 _MAX_WALK = 0.5
-"""Largest motion of nodes, in mesh edges, since all rays were cast; beyond, they are cast again."""
+"""Motion of nodes, in mesh edges, since all rays were cast, beyond which they are cast again."""
 
 _MILLIMETRE, _WHOLE, _LOST = 1e-3, 0.01, 0.5
-"""Unit of depth images of 16 bit, m, and in this unit the distance from a whole number that is no
-rounding, and the noise by which rounding averages out: its first harmonic is reduced to 0.7 %."""
+"""Unit of depth images of 16 bit, m; and in this unit the distance from a whole number beyond which
+a depth is not rounded, and the noise with which rounding errors average out (their first harmonic
+is reduced to 0.7 %)."""
 
 _FALSE, _AROUND = 6.0, 2
-"""Distance in σ from the median of its block beyond which a return is false, besides what the slope
-of the membrane explains, which is taken to be two at most: a mesh edge over a block, which is half
-as wide. A block is compared with the median of those up to so many blocks away in the same way."""
+"""Distance in σ from the median of its block beyond which a return is false, in addition to the
+range that a slope of the membrane of up to two explains: a mesh edge over a block, which is half as
+wide. A block is compared in the same way with the median of the blocks up to this many away."""
 
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
-"""Pixels checked for outliers per independent sample, and about how many of an image: with these a
-share of 1e-3 is determined to a fifth of it."""
+"""Pixels checked for outliers per independent sample, and about the most of an image: they
+determine a share of 1e-3 to a fifth of it."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class Measured:
     depth_m: np.ndarray  # (H, W), the z-depth image, m; NaN where there is no return
     noise: float  # factor by which this frame is noisier than expected, at least 1
     # total, moment: (B,), sums over the pixels of each block: of 1/σ² at `block_noise`, 1/m², and
-    # of that times the residual, 1/m
+    # of the residual over σ², 1/m
     total: np.ndarray
     moment: np.ndarray
     # variance of the block means due to rounding of the depth to millimetres, (B,), m², or 0
@@ -137,7 +138,7 @@ class Measured:
     block_noise: float = 1.0
 
     def at_noise(self, block_noise: float) -> Measured:
-        """The same with block means that are at least so noisy."""
+        """The same with block means at least as noisy as by a noise factor."""
         factor = max(block_noise / self.block_noise, 1.0)
         total, moment = self.total / factor**2, self.moment / factor**2
         block_noise = factor * self.block_noise
@@ -368,11 +369,11 @@ class RangeObserver:
     def _rounding_variance(self, total: np.ndarray, moment: np.ndarray) -> np.ndarray:
         """Variance of the block means (B,) due to rounding of the depth z to millimetres, m².
 
-        The error is Σ ± sin(2πkz) / πk, in millimetres. It averages out over a block, or over a
-        square of blocks, where z varies by a millimetre in it, and by the camera's noise. Elsewhere
-        neighbouring blocks have the same error: this is the variance of a square's mean, times the
-        number of its blocks, and at least that of the block. z is the measured one, which the mean
-        over squares makes smooth.
+        The error is Σ ± sin(2πkz) / πk, in millimetres. It averages out over a block, or a square
+        of blocks, in which z varies by a millimetre, and by the camera's noise. Elsewhere
+        neighbouring blocks have the same error: returned is the variance of a square's mean times
+        the number of its blocks, and at least the variance of the block's own. z is the measured
+        depth, smoothed by the mean over squares.
         """
         side, (row, column) = self._squares.side, np.divmod(self.block_number, self.columns)
         seen, depth = np.zeros((2, row.max() + 1, self.columns))
@@ -432,8 +433,8 @@ class RangeObserver:
     def _scatter(self, depth_m: np.ndarray) -> tuple[float, bool]:
         """Factor by which this frame is noisier than expected, at least 1; any false returns.
 
-        From the scatter of some pixels about their block's median. Less scatter than σ is not taken
-        for less noise: a filter may have smoothed the image.
+        From the scatter of some pixels about their block's median. Less scatter than σ does not
+        count as less noise: a filter may have smoothed the image.
         """
         if not len(self._sample.number):
             return 1.0, False
@@ -453,7 +454,7 @@ class RangeObserver:
     def _without_false_returns(self, depth_m: np.ndarray, noise: float) -> np.ndarray:
         """Depth image (H, W) with NaN in pixels far from the median of their block.
 
-        Also in blocks far from the median of those around.
+        Also NaN in blocks far from the median of those around.
         """
         used, place = self._used, np.arange(len(self.pixel)) - np.repeat(self._starts, self._count)
         residual_m, root = used.residuals(depth_m), np.sqrt(used.precision)

@@ -84,7 +84,7 @@ class RayCaster:
 
     @cached_property
     def _rays(self) -> np.ndarray:
-        """Nodes are moved by −origin before single precision sees them: all rays start at zero."""
+        """Nodes are moved by −origin before conversion to single precision: rays start at zero."""
         rays = np.zeros((len(self.directions), 6), np.float32)
         rays[:, 3:] = self.directions
         return rays
@@ -336,7 +336,7 @@ class MembraneView:
         # times (column, row, 1): a place's barycentric coordinates up to a positive factor
         sides = faces_from(places, corners.T).transpose(1, 0, 2)
         sides *= np.sign(np.einsum("mj,mj->m", places[corners[0]], sides[0]))[:, None]
-        # over the depth, what is linear on a triangle is so in the image
+        # divided by depth, a field that is linear on a triangle is linear in the image
         excess = ((field[nodes] - level) / seen[:, 2])[corners]
         bounds = np.concatenate([sides, np.einsum("km,kmj->mj", excess, sides)[None]])
         rows = places[corners, 1]

@@ -227,8 +227,8 @@ class Estimator:
         """Estimate by depth and flow, and the next warm start, from those by depth alone.
 
         `before` is the warm start of this frame. Optical flow of another moment, or of something
-        else than the membrane, pulls the shape away from the depth image: then the estimate is that
-        by depth alone.
+        other than the membrane, pulls the shape away from the depth image: then the estimate by
+        depth alone is returned.
         """
         assert data.flow is not None
         pressure, seen = alone.contact_pressure_pa, data.flow.seen
@@ -242,8 +242,8 @@ class Estimator:
     def _with_disagreement(self, alone: Estimate, both: Estimate) -> Estimate:
         """Estimate by depth and flow, with the difference of its force in its covariance.
 
-        That is the part that the errors of both do not explain: one has an error that is not known
-        (DerSimonian and Laird 1986). It acts at the centre of the contact.
+        Added is the part of it that the errors of both do not explain: one of them has an unknown
+        error (DerSimonian and Laird 1986). It acts at the centre of the contact.
         """
         excess = 1.0 - 3.0 / max(_squares_apart(alone, both), 3.0)
         assert both.nodal_force_n is not None and both.wrench_covariance is not None
@@ -341,9 +341,9 @@ class Estimator:
 
 
 def _nearest(before: Start, alone: Start) -> Start:
-    """Start by flow: from the frame by depth alone, or from the one before it by flow.
+    """Start of the solution with flow: this frame's by depth alone, or the last frame's with flow.
 
-    The latter where less has happened since than flow had changed there.
+    The latter if the shape has moved less since the last frame than flow had changed it there.
     """
     last = before.by_flow
     if last is None or last.state is None or before.state is None or alone.state is None:
@@ -355,7 +355,7 @@ def _nearest(before: Start, alone: Start) -> Start:
 
 
 def _apart(alone: Estimate, both: Estimate) -> np.ndarray:
-    """Force by depth and flow less that by depth alone, (3,), N."""
+    """Force by depth and flow minus force by depth alone, (3,), N."""
     assert alone.force_n is not None and both.force_n is not None
     return both.force_n - alone.force_n
 

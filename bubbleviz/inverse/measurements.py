@@ -103,7 +103,7 @@ class Measurements:
     jacobian : (k, 3n) sparse array
         D.
     error : (k,) array
-        e: measured less modelled, ranges in m, then components of flow in pixels.
+        e: measured minus modelled, ranges in m, then components of flow in pixels.
     weight : (k,) array
         1/σ².
     nuisances : Nuisances
@@ -253,7 +253,7 @@ class LinearisedFrame:
         return np.zeros(nodes, bool) if self.flow is None else self.flow.measured.seen
 
     def residual_m(self, motion: np.ndarray, image_error_m: np.ndarray) -> np.ndarray:
-        """Errors (k,) of the ranges after a motion (n, 3), to first order, less others (k,)."""
+        """Errors (k,) of the ranges after a motion (n, 3), to first order, minus others (k,)."""
         left: np.ndarray = self.error_m - self.view.jacobian @ motion.ravel() - image_error_m
         return left
 
@@ -266,7 +266,7 @@ class LinearisedFrame:
         return self.misfit(error_m) > self.misfit(self.measured_m)
 
     def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
-        """Errors (k,) less the fitted errors of the whole image."""
+        """Errors (k,) minus the fitted errors of the whole image."""
         explained: np.ndarray = self.image_errors_m @ self._by_image.amplitudes(error_m)
         return error_m - explained
 

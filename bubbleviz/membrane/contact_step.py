@@ -33,8 +33,8 @@ class ContactStep:
         # factoriser, blocks: of K's pattern
         factoriser: Factoriser,
         blocks: NodeBlocks,
-        # (nnz,), of K, N/m: the tangent less the loads' turning with the object's surface, which
-        # lets Newton's method converge quadratically on curved objects
+        # (nnz,), of K, N/m: the tangent minus the rotation of loads with the object's surface,
+        # which lets Newton's method converge quadratically on curved objects
         data: np.ndarray,
         # residual, gradient: (f, 3), r in N and g = ∂V/∂x in m²
         residual: np.ndarray,
@@ -150,8 +150,8 @@ def _across(
 
 
 _MIN_SLIP = 1e-6
-"""Least |q + r s| over its bound, less 1, in the tangent: smaller values make it singular to
-rounding."""
+"""Least value of |q + r s| over its bound, minus 1, in the tangent: smaller values make it
+numerically singular."""
 
 
 class Friction(NamedTuple):

@@ -23,10 +23,10 @@ from bubbleviz.membrane.rubber import RubberMembrane
 from bubbleviz.membrane.sparse_factor import Factor, Factoriser, NodeBlocks
 
 BALANCE_AIM, BALANCE_ACCEPTED, BALANCE_ROUGH = 1e-7, 1e-6, 1e-3
-"""Largest residual force at a node over the largest load on one: the aim; the limit accepted where
-facets of the object keep Newton's method from converging further; and the limit where, without
-friction, it alternates for ever between facets of fillets that are finer than the mesh. The last is
-a tenth of the error of the mesh itself."""
+"""Limits of the largest residual force at a node over the largest load on one: the aim; accepted if
+facets of the object keep Newton's method from converging further; and accepted if, without
+friction, it alternates between facets of fillets that are finer than the mesh. The last is a tenth
+of the error of the mesh itself."""
 DISTANCE_AIM_M, DISTANCE_ACCEPTED_M, DISTANCE_ROUGH_M = 1e-9, 1e-8, 1e-6
 """The same for the distance of loaded nodes from the object, and of others inside it: facets are
 rougher than the last."""
@@ -44,7 +44,7 @@ _ARMIJO = 1e-4  # least decrease of the energy over that by its slope, for a ste
 class RubberContact(Contact):
     """Equilibrium of the exact membrane with an object, and how well it holds."""
 
-    # stored in membrane and gas since the reference configuration: the work of the object, less the
+    # stored in membrane and gas since the reference configuration: work of the object minus
     # dissipation by friction
     energy_j: float
     stable: bool  # the energy is at a minimum; with friction: no pivot of the tangent is negative
@@ -52,7 +52,7 @@ class RubberContact(Contact):
     # nodes; NaN without friction
     slip_m: np.ndarray
     stick_error_m: float = 0.0  # largest distance of a sticking node from its anchor, m
-    # largest |t| of a node over μ times its load, less 1; 0 where none is above
+    # largest |t| of a node over μ times its load, minus 1; 0 if none is above
     cone_violation: float = 0.0
     dissipated_j: float = 0.0  # by slip since the previous contact, J
 

@@ -27,7 +27,7 @@ def as_flat_sheet(mesh: MembraneMesh) -> tuple[Prestress, float] | None:
     """Stress of a surface under 1 Pa that is closest to that of an inflated sheet.
 
     The sheet is inflated to the surface's height. With the ratio of its mean tension to that by
-    force balance, less 1. None where the surface overhangs its rim, so that it was never flat.
+    force balance, minus 1. None if the surface overhangs its rim, so that it was never flat.
     """
     flat = replace(mesh, nodes=mesh.nodes * [1.0, 1.0, 0.0])
     if not (flat.facet_vectors[:, 2] > 0.0).all():

@@ -344,8 +344,8 @@ def refinement(
 
 # The reference surface from a mesh file: checked, oriented, its open boundary as the rim.
 #
-# By hand because trimesh tells that a mesh is wrong, not which edge, triangle or node is; and its
-# import takes a quarter of a second, whenever a sensor with a mesh is loaded.
+# Not by trimesh, which says that a mesh is wrong, but not which edge, triangle or node; and its
+# import takes a quarter of a second whenever a sensor with a mesh is loaded.
 
 
 LARGEST_M = 1.0  # of the mesh's box, m: more is in millimetres

@@ -85,9 +85,9 @@ def zernike(at: np.ndarray, degree: int) -> np.ndarray:
 STRESS_DEGREE = 8
 """Of the polynomials and of the virtual displacements; 4 misses a bulged flat sheet by 2 %."""
 _RIDGE = 1e-3
-"""Weight of the mean square of Σ z_k D_k against that of the unbalanced load over the load: lies
-between the squared singular values of what is determined, above 1e-2, and the others, below 1e-4.
-"""
+"""Weight of the mean square of Σ z_k D_k relative to that of the unbalanced share of the load: it
+lies between the squared singular values of determined combinations, above 1e-2, and of the others,
+below 1e-4."""
 _SYMMETRIC = np.array(
     [[[1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]]]
 )
@@ -106,7 +106,7 @@ class Prestress:
         mesh: MembraneMesh,  # the surface under the pressure
         gauge_pressure_pa: float,
         degree: int = STRESS_DEGREE,  # of the polynomials and of the virtual displacements
-        near: Prestress | None = None,  # what balance leaves open is as in this; None: uniform
+        near: Prestress | None = None,  # for parts that balance leaves open; None: uniform
     ) -> Prestress:
         """Field that balances the pressure by least squares.
 
@@ -184,8 +184,8 @@ def prestressed(
     # mesh, gauge_pressure_pa, rim_slack_m: as of `RubberMembrane`
     mesh: MembraneMesh,
     gauge_pressure_pa: float,
-    # μh. Where the stress is more than rubber of it can carry, as noise of a surface may ask of
-    # far-stretched rubber, it is larger.
+    # μh. It is increased where rubber of this μh could not carry the stress, as may happen by noise
+    # of the surface in far-stretched rubber.
     mu_h_n_per_m: float | np.ndarray,
     # found from the mesh where not given: one of a coarser mesh saves time, and so do its values
     field: Prestress | np.ndarray | None = None,

@@ -1,14 +1,14 @@
 """The exact rubber membrane: energy, forces and tangent of incompressible neo-Hookean triangles.
 
-For a P1 triangle the neo-Hookean energy A₀ (μh/2) (tr C + 1/det C − 3) has two parts. That with
+For a P1 triangle the neo-Hookean energy A₀ (μh/2) (tr C + 1/det C − 3) has two parts. The part with
 tr C is the energy of linear springs: a constant matrix, μh times the cotangent Laplacian of the
-stress-free triangle. 1/det C = (A₀/A)² depends on the current area alone. The energy is thus
+stress-free triangle. 1/det C = (A₀/A)² depends only on the current area. The energy is thus
 
     W(x) = ½ xᵀ (L₀ ⊗ I) x + Σ ψ(A),   ψ(A) = ½ μh A₀³/A².
 
-In rubber stretched far (λ → ∞) only the springs remain, whose stiffness is the paper's K. Free to
-slide along itself it is a film of constant tension: the least energy of the springs over all ways
-to lay the nodes on a surface is γ0 times its area (a conformal map).
+In far-stretched rubber (λ → ∞) only the springs remain; their stiffness is the paper's K. If the
+nodes may slide along the surface, this is a film of constant tension: the least energy of the
+springs over all positions of nodes on a surface is γ0 times its area (a conformal map).
 """
 
 from __future__ import annotations
@@ -165,8 +165,8 @@ class RubberMembrane:
     def residual(
         self,
         x: np.ndarray,  # (n, 3)
-        # float or (n,) array, pressure p from inside at the nodes over that outside, Pa; that of
-        # the gas less that of a contact
+        # float or (n,) array, pressure p at the nodes, inside minus outside, Pa: gas pressure
+        # change minus contact pressure
         pressure_pa: float | np.ndarray,
     ) -> np.ndarray:
         """∂W/∂x − p ∂V/∂x − f_rest, (n, 3), N: the external force needed for equilibrium."""

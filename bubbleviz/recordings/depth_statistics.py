@@ -222,7 +222,7 @@ class DepthStatistics:
     def regular_validity(self) -> float:
         """Share of frames with a return below which a pixel is irregular.
 
-        Nine tenths of the usual share, less the sampling error for this number of frames.
+        Nine tenths of the usual share, minus the sampling error for this number of frames.
         """
         returning = self.validity[self.validity > 0.5]
         usual = float(np.median(returning)) if returning.size else 1.0

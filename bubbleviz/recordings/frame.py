@@ -277,7 +277,7 @@ def find_gaps(
     """Gaps between consecutive frames.
 
     A step of about n + 1 periods misses n frames. A late frame is not missing: the neighbouring
-    steps are shorter by its delay, so two on either side count, less their whole periods.
+    steps are shorter by its delay, so two on either side count, minus their whole periods.
     """
     steps = np.diff(times_s)
     median = usual_step(steps)

@@ -410,7 +410,7 @@ def measured_force(
     wrench_n: np.ndarray,  # (F, 3), forces as recorded, N; NaN where a frame has none
     contact_free: np.ndarray,  # (F,) bool
 ) -> np.ndarray:
-    """|F| of recorded wrenches less their bias, N.
+    """|F| of recorded wrenches minus their bias, N.
 
     The axes of a force/torque sensor are rarely documented, so only the magnitude can be compared.
     Its bias is the median over the contact-free frames.

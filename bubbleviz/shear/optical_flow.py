@@ -46,7 +46,7 @@ _MIDDLE, _SCALE = 128.0, 42.0
 
 
 def normalised(grey: np.ndarray) -> np.ndarray:
-    """Image (H, W) less its local mean over its local contrast, uint8 around 128.
+    """Image (H, W) minus its local mean, divided by its local contrast, uint8 around 128.
 
     The shading of a membrane changes as it tilts, which must not appear as motion.
     """
@@ -94,14 +94,14 @@ _FINEST = 2
 variational refinement."""
 _SMOOTHED_PX, _WINDOW_PX, _ROUNDS = 2 * BLOCK_PX + 1, 15, 2
 """Odd sides of the square over which a search is averaged (twice) and of the window whose motion is
-measured; and number of searches, each for what is left by the one before. Of 9 to 25, 9 to 21, and
-1 and 2: the smallest errors on known motions among those whose σ is right."""
+measured; and number of searches, each for the motion left by the previous one. Of 9 to 25, 9 to 21,
+and 1 and 2: the smallest errors on known motions among those with a correct σ."""
 _SATURATED = 250  # grey level of a pixel that may be saturated
 _LARGEST_SIGMA_PX = 0.1  # of motion at rest; chosen: less certain flow adds nothing to depth
 _MEAN_TO_SIGMA = np.sqrt(0.5 * np.pi)  # of normal errors, from the mean of their sizes
 _LARGEST_MISMATCH = 0.5 * _SCALE
-"""Standard deviation of grey levels beyond which a match is false: half of that of the texture. It
-is up to 6 of known motions, and from 19 on where another texture covers the membrane."""
+"""Standard deviation of grey levels beyond which a match is false: half of that of the texture. For
+known motions it is up to 6, and if another texture covers the membrane 19 or more."""
 _MIN_BLOCK_SHARE = 0.01  # of blocks with texture; chosen
 _MAX_IMAGES = 40  # for the noise: more cost time and do not improve it
 
@@ -216,9 +216,9 @@ def _motions(
     """Motion of windows around some pixels, (b, 2), and the mismatch of their grey levels, (b,).
 
     The mismatch is a standard deviation, inf for windows that were not found.
-    A search finds the mean motion of patches that are 32 pixels wide, a fifth too little where a
-    small contact is dragged. The frame is therefore moved back by what was found, and the error of
-    the motion that is left is of second order.
+    A search finds the mean motion of patches that are 32 pixels wide, a fifth too little if a small
+    contact is dragged. The frame is therefore moved back by the motion found, and the error of the
+    remaining motion is of second order.
     """
     cv2, square = opencv(), (_SMOOTHED_PX, _SMOOTHED_PX)
     row, column = np.indices(reference.shape, np.float32)

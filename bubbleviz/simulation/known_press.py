@@ -27,7 +27,7 @@ LEAST_OVERLAP = 0.4
 class Validation:
     """Prediction of a press of a known object at a known pose, against its measurement."""
 
-    # (k, 3), measured cloud in B (mean of the frames), less the calibrated bias, m
+    # (k, 3), measured cloud in B (mean of the frames), minus the calibrated bias, m
     points_m: np.ndarray
     # (H, W), distance of each of them from the predicted membrane along its ray, positive outside,
     # m; NaN in pixels without one

@@ -131,7 +131,7 @@ class Errors:
 
     iou: float = np.nan  # of the patch's pixels
     force_error_relative: float = np.nan  # |difference of the forces| over |true force|
-    force_excess_relative: float = np.nan  # |F| over the true one, less 1
+    force_excess_relative: float = np.nan  # |F| over the true one, minus 1
     area_error_relative: float = np.nan  # on the reference surface
     cop_error_m: float = np.nan  # distance between centres of pressure
     displacement_rms_m: float = np.nan  # over the estimator's nodes
