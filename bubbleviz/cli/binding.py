@@ -1,9 +1,9 @@
-"""Commands bound to functions of the library, whose signature and docstring have the options.
+"""Commands bound to functions of the library; signatures and docstrings define the options.
 
-Both are read from the source: importing a function for its `--help` would take a second. The kind
-of a parameter in the docstring is the type of its option: `bool` a flag, `path` (not `str or path`)
-a file, `{"a", "b"}` a choice, `iterable of …` an option that may be given repeatedly, under its
-singular name; the unit at the end of a name is left out.
+Both are read from the source: importing a function for its `--help` would take a second. The type
+of a parameter in the docstring determines that of its option: `bool` is a flag, `path` (not `str or
+path`) a file, `{"a", "b"}` a choice, `iterable of …` an option that may be repeated, under its
+singular name. The unit at the end of a name is left out.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ json_option = click.option(
 
 
 class Parameter(NamedTuple):
-    """What a function's docstring says of a parameter, and its default; `...` if required."""
+    """Description of a parameter from a docstring, and its default; `...` if required."""
 
     kind: str
     text: str
@@ -155,11 +155,11 @@ class Verb:
     arguments: Mapping[str, str] = field(default_factory=dict)  # with their names in the usage
     opening: tuple[str, ...] = ()  # options of `open`, for a function that takes its frames
     more: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # options of other functions
-    required: tuple[str, ...] = ()  # though the function does without
-    without: tuple[str, ...] = ()  # parameters that are no options
+    required: tuple[str, ...] = ()  # required options that are optional parameters
+    without: tuple[str, ...] = ()  # parameters without an option
     former: Mapping[str, str] = field(default_factory=dict)  # parameters by hidden former names
     extra: tuple[click.Option, ...] = ()
-    call: Callable[..., None] | None = None  # in place of the function
+    call: Callable[..., None] | None = None  # called instead of the function
     prints: bool = True
 
     def command(self, name: str) -> click.Command:

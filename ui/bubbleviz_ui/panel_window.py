@@ -228,7 +228,7 @@ class PanelWindow(QMainWindow):
         return done
 
     def _fit(self) -> None:
-        """Make tabs of docks rather than grow, perhaps beyond the screen."""
+        """Turn docks into tabs if the window would otherwise grow, perhaps beyond the screen."""
         for dock in self._docks.values():
             dock.learn_height()
             if dock.too_low:
@@ -247,13 +247,13 @@ class PanelWindow(QMainWindow):
         self.setMinimumSize(self.minimumSizeHint().boundedTo(room))
 
     def _make_tabs(self, front: Dock) -> None:
-        """Make tabs at the side of a dock; the first-run hint gives way, too."""
+        """Make tabs at the side of a dock; also hide the first-run hint."""
         self.tabs.make(front)
         self.hint.hide()
         self._centre.updateGeometry()
 
     def _part_tabs(self) -> None:
-        """Undo the tabs of `_fit` where there is room."""
+        """Undo the tabs of `_fit` if there is room."""
         for name, side in SIDES.items():
             spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
             self.tabs.part(side, spare)

@@ -50,7 +50,7 @@ def import_the_window() -> None:
 
 
 def _qtpy() -> dict[str, ModuleType]:
-    """Modules for pyvistaqt in place of qtpy, which has PySide6 make every class of Qt."""
+    """Modules for pyvistaqt in place of qtpy, which makes PySide6 create every class of Qt."""
     from PySide6 import QtCore, QtGui, QtOpenGLWidgets, QtWidgets
 
     def widget(name: str) -> object:

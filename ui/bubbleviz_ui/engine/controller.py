@@ -240,7 +240,7 @@ class Controller(QObject):
             self._request_frame()
 
     def _on_playing(self) -> None:
-        """Playback or the view of a live source stopped, or goes on."""
+        """Playback or the view of a live source has stopped or resumed."""
         incomplete = bool(self.client.demand.images) or self.client.shown_thinned
         if not self.state.advancing and incomplete and self.cold_solved:
             self._request_frame()  # else the cold solve delivers them, with a single registration

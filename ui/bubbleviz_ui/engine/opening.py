@@ -132,9 +132,9 @@ class Opening(QObject):
     def sensor_of(
         self, path: Path | None, name: str | Path | None = None, depth_topic: str | None = None
     ) -> OpenSensor:
-        """Opens a sensor file or preset, else the sensor for a recording, or the one in use.
+        """Opens a sensor file or preset, else the sensor for a recording, else the one in use.
 
-        That for a recording is one in use before, or a preset.
+        The sensor for a recording is one that was in use before, or a preset.
         """
         known = [each for each in (self.sensor, self._other_camera) if each is not None]
         if name is not None or not (known or path):

@@ -258,7 +258,7 @@ class SensorClient(QObject):
             self._scale_on()
 
     def _on_unscaled(self, _: Failed) -> None:
-        """Do without: a frame that cannot be solved is reported when it is shown."""
+        """Ignore the failure: a frame that cannot be solved is reported when it is shown."""
         self._unscaled = ()
         self.scaled.emit()
 
@@ -331,7 +331,7 @@ class SensorClient(QObject):
         self.patched.emit(patched)
 
     def _comparable(self, demand: Demand) -> bool:
-        """Whether its numbers may stand beside those of the last request in a recording.
+        """Whether its numbers are comparable with those of the last request in a recording.
 
         Forces by depth alone and by depth and colour differ; each frame has one of them.
         """

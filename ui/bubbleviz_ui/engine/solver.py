@@ -504,7 +504,7 @@ def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> So
 
 
 def _within_slice(find: Callable[[int], N], frames: tuple[int, ...]) -> list[N]:
-    """What is found of the first frame, and of more within `ANALYSIS_SLICE_S`."""
+    """Numbers of the first frame, and of more frames within `ANALYSIS_SLICE_S`."""
     end, found = time.perf_counter() + ANALYSIS_SLICE_S, list[N]()
     for index in frames:
         found.append(find(index))

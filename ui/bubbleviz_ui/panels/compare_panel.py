@@ -59,7 +59,7 @@ ROWS: dict[str, tuple[str, Callable[[ComparedResult, Units], str]]] = {
     "solve": ("Solver time", lambda m, u: u.duration.text(m.numbers.solve_ms)),
     "nodes": ("Nodes used", lambda m, u: f"{len(m.mesh.nodes)}"),
 }
-"""What is measured, by its title and its text."""
+"""Measured quantities: title, and text of the value."""
 STATISTICS = {"median": "median", "p95": "95th percentile", "max": "maximum"}
 """Words for the statistics of a `Comparison`."""
 
@@ -95,11 +95,11 @@ class SettingColumn:
 
     @property
     def setting(self) -> ComparedSetting:
-        """What is chosen."""
+        """The chosen options."""
         return self._state.settings.compared[self._number]
 
     def use(self) -> None:
-        """Have the whole window use it from now on."""
+        """Apply this setting to the whole window."""
         kappa = self.setting.kappa
         rule = {} if kappa is None else {"kappa": kappa}
         self._state.change(solver=COMPARED_NAMES[self._number], **rule)
@@ -107,7 +107,7 @@ class SettingColumn:
     def show_measured(
         self, measured: ComparedResult | str | None, units: Units, waiting: str
     ) -> None:
-        """Write the numbers; a text says why there are none. With None the status is `waiting`."""
+        """Show the numbers, or a text that says why there are none; None: status `waiting`."""
         for name, (_, text) in ROWS.items():
             shown = text(measured, units) if isinstance(measured, ComparedResult) else DASH
             self.values[name].setText(shown)
@@ -117,13 +117,13 @@ class SettingColumn:
 
 
 class OtherRecording(QWidget):
-    """Controls of another recording, or of another sensor file, and how it differs.
+    """Controls of another recording or sensor file, and the differences of its results.
 
-    Both runs are solved in a thread of their own, with the settings of the window.
+    Both runs are solved in a separate thread, with the settings of the window.
     """
 
-    aligned = Signal(object)  # A `AlignedRun` whose curves are drawn, or None
-    membrane = Signal(object)  # The same where its membrane is drawn, too
+    aligned = Signal(object)  # An `AlignedRun` whose curves are drawn, or None
+    membrane = Signal(object)  # The same, if its membrane is drawn as well
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
@@ -277,7 +277,7 @@ class OtherRecording(QWidget):
         self.membrane.emit(self._aligned if self.drawn.isChecked() else None)
 
     def _write(self, *_: object) -> None:
-        """Write the differences, and those of the frame at the cursor."""
+        """Show the differences over all frames, and in the frame at the cursor."""
         if self._aligned is None:
             return
         found, units, k = self._aligned.found, self._state.units, self._state.frame
@@ -299,10 +299,10 @@ class OtherRecording(QWidget):
 class ComparePanel(QWidget):
     """Two settings A and B; measures again whenever the frame or a setting changes.
 
-    What it measures it asks of the solver thread, which does it when nobody waits for a frame.
+    The solver thread measures them when no frame is being waited for.
     """
 
-    # What the panel shows of A and of B, each a `ComparedResult`, or anything else for none
+    # Results of A and of B: each a `ComparedResult`, or anything else for none
     measured = Signal(object)
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
@@ -350,12 +350,12 @@ class ComparePanel(QWidget):
 
     @property
     def _seen(self) -> bool:
-        """Neither closed nor behind another tab, where Qt still calls it visible."""
+        """Whether it is open and in front; behind another tab Qt still calls it visible."""
         return "compare" in self._state.settings.panels
 
     @property
     def _settings(self) -> tuple[ComparedOptions, ...]:
-        """What makes the estimates and the patches of A and B now."""
+        """Everything that determines the estimates and patches of A and B."""
         settings = self._state.settings
         kappa, least = settings.patch_rule
         return tuple(
@@ -378,13 +378,13 @@ class ComparePanel(QWidget):
         self._ask() if by_playback else self._ask_anew()
 
     def _ask_anew(self) -> None:
-        """Ask, and show nothing until it has come: old numbers would look like new ones."""
+        """Request a measurement; until it arrives show none, as old numbers would look new."""
         self._take(NOT_MEASURED)
         self._ask()
 
     @property
     def _asks(self) -> bool:
-        """Whether the controller is asked: something is open, and the panel is seen."""
+        """Whether to request measurements: a source is open, and the panel is visible."""
         return self._seen and self._state.facts is not None
 
     def _ask(self) -> None:

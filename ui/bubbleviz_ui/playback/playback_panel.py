@@ -74,7 +74,7 @@ class PlaybackPanel(QWidget):
             changed.connect(self._show_all)
 
     def use_actions(self, shortcuts: Shortcuts) -> None:
-        """Have the buttons do, show and tell what the menu's actions do."""
+        """Give the buttons the function, state and tool tip of the menu's actions."""
         for name, button in self.buttons.items():
             action = shortcuts.actions[f"Playback{STEP}{name}"]
             action.setIconText({**MOVES, **MODES}[name])

@@ -158,7 +158,7 @@ class PoseSession(QObject):
         self.busy = False  # A single fit is running
         self.problem = ""  # Why the chosen object was rejected
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
-        # (4, 4) each, that fit as well as the one searched in the frame of that index
+        # other poses (4, 4) that fit as well as the one found by search; index of that frame
         self.others: list[np.ndarray] = []
         self._searched: int | None = None
         controller.opened.connect(self._on_opened)

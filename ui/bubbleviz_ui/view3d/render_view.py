@@ -276,7 +276,7 @@ class View(QtInteractor):  # type: ignore[misc]
         QCoreApplication.sendEvent(self.window(), QEvent(QEvent.Type.UpdateRequest))
 
     def _leave_to_qt(self) -> None:
-        """Let Qt paint the window, which had waited for a redraw that is not due any more."""
+        """Let Qt paint the window, which waited for a redraw that is no longer due."""
         self._due.stop()
         QCoreApplication.postEvent(self.window(), QEvent(QEvent.Type.UpdateRequest))
 
