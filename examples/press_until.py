@@ -2,10 +2,10 @@
 
     python examples/press_until.py zenoh:tcp/ROBOT:7447 mine.toml
 
-Without a window. The robot is moved by velocity commands that end by themselves, as those of most
-arms do: when the camera falls silent nothing renews them, and the robot stands still. Nor does an
-image that is old already. After a second without an image the robot is told to stop, too, and the
-program ends with the reason. However it ends, it says how old the last image was at the stop.
+Without a window. The robot is moved by velocity commands that expire, as those of most arms do: if
+the camera stops sending, or images are old, nothing renews the command, and the robot stands still.
+After a second without an image the robot is also told to stop, and the program ends with the
+reason. However it ends, it prints how old the last image was at the stop.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from bubbleviz.live import LiveStream
 
 SPEED_M_PER_S = 0.005
 VALID_S = 0.1  # three frames at 30 Hz
-LATEST_S = 0.25  # an older image says too little of the press now; chosen
+LATEST_S = 0.25  # an older image does not describe the present press; chosen
 
 
 class Robot(Protocol):
-    """What is asked of the arm that holds the bubble."""
+    """Interface of the arm that carries the bubble."""
 
     def move(self, velocity_m_per_s: float, valid_s: float) -> None:
         """Move along the bubble's axis for at most this long, unless told again."""
@@ -33,24 +33,24 @@ class Robot(Protocol):
 
 
 class PrintedRobot:
-    """Stands for the driver of an arm."""
+    """Placeholder for the driver of an arm."""
 
     def move(self, velocity_m_per_s: float, valid_s: float) -> None:
-        """Say what an arm would do."""
+        """Print what an arm would do."""
         print(f"move at {1e3 * velocity_m_per_s:.0f} mm/s for {valid_s} s")
 
     def stop(self) -> None:
-        """Say what an arm would do."""
+        """Print what an arm would do."""
         print("stop")
 
 
 def press_until(stream: LiveStream, robot: Robot, force_n: float) -> FrameResult | None:
-    """Move on while the force is below `force_n`; the frame that ended it, None if none came.
+    """Move while the force is below `force_n`; returns the last frame, None if none came.
 
     It stops when the upper end of the force's 95 % interval reaches the limit: images of a moving
     membrane are a few frames apart, and the true force may be larger than the estimate. A frame
-    without a number to trust ends it, too: nobody presses on blindly. When the camera sends no more
-    the robot is stopped, and `StreamStoppedError` says so.
+    without a trusted number also ends it. If the camera stops sending, the robot is stopped, and
+    `StreamStoppedError` is raised.
     """
     last = None
     try:
