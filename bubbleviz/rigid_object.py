@@ -46,7 +46,7 @@ def load_object(
 
 
 def merged(obj: RigidObject, most: int) -> RigidObject:
-    """The object with at most so many triangles, for display: vertices that are close are one."""
+    """The object with at most this many triangles, for display: close vertices are merged."""
     vertices, triangles = obj.vertices, obj.triangles
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
     cells = 64.0

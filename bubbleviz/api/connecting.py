@@ -26,7 +26,7 @@ def connect(
         Sensor file or preset; `auto` waits for the first image and takes the preset of its size.
     timeout_s : float, optional
         Longest time without a frame while iterating the stream, and in `estimate` and `track`, s;
-        None waits for ever.
+        None waits forever.
 
     Returns
     -------

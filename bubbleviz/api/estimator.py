@@ -58,11 +58,11 @@ class Estimator:
         As in `estimate`.
     zero_gas : bool
         Shift the measured gas pressure so that it equals the sensor file's without contact, after
-        the first 15 consecutive contact-free images; until then assume an error of ±2 kPa by the
+        the first 15 consecutive contact-free images; until then assume an error of ±2 kPa due to
         weather, or ±10 kPa if the file has the standard atmosphere. False: no shift.
     shear : bool
-        Force by depth and colour together, with friction at every node, and slip; after 20 colour
-        images without contact.
+        Estimate force, with friction at every node, and slip from depth and colour together, once
+        there are 20 colour images without contact.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class Estimator:
         ----------
         depth : (H, W) array or Frame
             z-depth: floats in m, integers in mm, as in a `16UC1` image; convert other units to
-            metres, `raw * scale`. 0 and NaN are no return. A `Frame` includes the other arguments.
+            metres, `raw * scale`. 0 and NaN mean no return. A `Frame` includes the other arguments.
         gas_pressure_pa : float, optional
             Absolute pressure of the gas, Pa; by default from the gas law.
         colour : (H, W, 3) uint8 array, optional
@@ -279,7 +279,7 @@ class FrameSolver:
 
 
 def given_pose(init: str | np.ndarray | None) -> np.ndarray | None:
-    """T_B_O (4, 4) of an option `init`. Raises InputError: it is no rigid transform."""
+    """T_B_O (4, 4) of an option `init`. Raises InputError: it is not a rigid transform."""
     if init is None:
         return None
     return parse_pose(init) if isinstance(init, str) else checked_pose(init)

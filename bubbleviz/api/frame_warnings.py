@@ -94,9 +94,9 @@ class FrameWarnings:
     def _drift_warning(self) -> str:
         """Warning if depth images drift; else empty.
 
-        By more than three standard deviations since the calibration, or in more images with
-        contact than chance explains since those without. A difference that ends with the contact
-        is no drift of the camera.
+        Either by more than three standard deviations since the calibration, or, since the images
+        without contact, in more images with contact than chance explains. A difference that ends
+        with the contact is not drift of the camera.
         """
         if not self._image_errors:
             return ""

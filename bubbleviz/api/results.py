@@ -129,7 +129,7 @@ class FrameResult:
 
     @property
     def force_sigma_n(self) -> np.ndarray:
-        """Standard deviation of the force, (3,), N: 95 % of errors are within ±1.96 of it.
+        """Standard deviation σ of the force, (3,), N: 95 % of errors are within ±1.96 σ.
 
         0 without contact, NaN with the solver `paper`.
         """

@@ -23,7 +23,7 @@ MAX_SIDE = 10_000  # pixels; no camera in a bubble has more
 
 
 def check_rows(width: int, height: int, step: int, pixel_bytes: int, size: int) -> None:
-    """Raise ValueError unless so many bytes can be an image with rows of `step` bytes."""
+    """Raise ValueError unless `size` bytes can be an image with rows of `step` bytes."""
     if not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
         raise ValueError(f"{width}×{height} pixels, not 1 to {MAX_SIDE} a side")
     if step < width * pixel_bytes or height * step > size:

@@ -95,7 +95,7 @@ def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -
     """Raise InputError unless `path` can be written; call it before long computations.
 
     With `overwrite` it may exist, but not as a folder with files of kinds that this program does
-    not write. If `suffixes` are given, its name ends in one of them; "" stands for a folder.
+    not write. If `suffixes` are given, its name must end in one of them; "" means a folder.
     """
     path = Path(path)
     ending = path.suffix.lower() if path.suffix[1:2].isalpha() else ""  # not that of "press_0.5"

@@ -437,7 +437,7 @@ def _reject_image(newton: GaussNewton, observed: LinearisedFrame, state: State) 
     if np.count_nonzero(seen) < MINIMUM_BLOCKS:
         return "no_data"
     error = observed.error_m[seen]
-    # Contact only pushes inwards: a surface far outside the membrane at rest is not of it.
+    # Contact only pushes inwards: a surface far outside the membrane at rest is not the membrane.
     outside = state is newton.rest and np.sqrt(np.mean(np.maximum(error, 0.0) ** 2))
     if outside > IMPLAUSIBLE_SHARE * size_m or np.median(np.abs(error)) > size_m:
         return "implausible"

@@ -62,7 +62,7 @@ class Nuisances:
 
     @classmethod
     def none(cls, nodes: int) -> Nuisances:
-        """No nuisances, for a membrane of so many nodes."""
+        """No nuisances, for a membrane with a number of nodes."""
         return cls.joined([], np.zeros((0, 0)), nodes)
 
     @classmethod

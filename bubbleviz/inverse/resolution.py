@@ -28,7 +28,7 @@ def resolution_m(lambda_si: float, tension_n_per_m: float, information_per_m4: f
 
 
 MESH_BLUR = 0.5
-"""ℓ of what a mesh blurs, in its edges."""
+"""ℓ of the blur by a mesh, in its edges."""
 
 
 def blur_m(resolution_m: float, edge_length_m: float) -> float:

@@ -88,7 +88,7 @@ def unit_wrenches(step: Step, nodes: np.ndarray) -> np.ndarray:
     loads, at = nuisances.forces[nodes].swapaxes(1, 2), x[nodes]
     by_pressures = np.hstack([push, cross(at, push)])
     by_amplitudes = np.hstack([loads.sum(axis=0), cross(at[:, None], loads).sum(axis=0)])
-    of_image = np.zeros((nuisances.errors.shape[1], 6))  # errors of it are no forces
+    of_image = np.zeros((nuisances.errors.shape[1], 6))  # image errors are not forces
     return np.concatenate([by_pressures, by_amplitudes, of_image])
 
 

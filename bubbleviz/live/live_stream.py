@@ -274,7 +274,7 @@ class LiveStream:
         self,
         # waits up to a timeout, s, for a frame and processes it; None on timeout
         take: Callable[[float], _T | None],
-        # longest time since the last frame arrived, s; None waits for ever
+        # longest time since the last frame arrived, s; None waits forever
         timeout_s: float | None = STOPPED_AFTER_S,
     ) -> Iterator[_T]:
         """Results of `take` for the newest frames, until the source ends.

@@ -155,7 +155,7 @@ class RealSenseLive(LiveSource):
             self.topics = (*self.topics, topic)
 
     def _receiver(self, pictures: queue.Queue[_Picture], enough: threading.Event) -> Any:
-        """Callback for the SDK's thread; playback of a recording is paced by it."""
+        """Callback for the SDK's thread; it also paces the playback of a recording."""
 
         def receive(frame: Any) -> None:
             seen = frame.as_video_frame()

@@ -92,7 +92,7 @@ def stamp_of(payload: bytes) -> int:
 def decode(message: Message) -> Any:
     """Decode a message by rosbags.
 
-    Raises ValueError: the bytes are no message of this type.
+    Raises ValueError: the bytes are not a message of this type.
     """
     payload = message.payload
     if not begins_as_cdr(payload):

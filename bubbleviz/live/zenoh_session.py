@@ -264,9 +264,9 @@ def listening_warning(options: SessionOptions) -> str:
     if parts is None or parts[2] == "localhost" or re.fullmatch(r"127\.[\d.]+|::1", parts[2]):
         return ""
     given = options.credentials
-    who = "whoever knows the login" if given.login else "anybody"
+    who = "anyone who knows the login" if given.login else "anyone"
     if parts[1] == "tls" and given.ca and given.cert:
-        who = f"whoever has a certificate signed by {given.ca}"
+        who = f"anyone with a certificate signed by {given.ca}"
     text = f"{options.listen} is open to other computers: {who} on the network can connect"
     text += "; give --login to prevent that" if who == "anybody" else ""
     return text + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")

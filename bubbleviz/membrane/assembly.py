@@ -23,7 +23,7 @@ class Assembly(NamedTuple):
 
     @classmethod
     def of(cls, corners: np.ndarray, moving: np.ndarray, nodes: int) -> Assembly:
-        """Pattern over the `moving` ones of so many nodes, for triangles (3, m)."""
+        """Pattern over the `moving` nodes of all `nodes`, for triangles (3, m)."""
         size = 3 * len(moving)
         dof = np.full((nodes, 3), -1)
         dof[moving] = np.arange(size).reshape(-1, 3)

@@ -81,7 +81,7 @@ def _chamber_depth(mesh: MembraneMesh) -> np.ndarray:
 
 
 def checked_pose(T_B_O: np.ndarray) -> np.ndarray:
-    """Pose as a 4×4 float array; InputError where it is no rigid transform."""
+    """Pose as a 4×4 float array; InputError if it is not a rigid transform."""
     pose = np.asarray(T_B_O, dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all():
         raise InputError("pose T_B_O: not a finite 4×4 matrix; give a rigid transform")

@@ -84,7 +84,7 @@ class Planes(NamedTuple):
 
     @classmethod
     def nowhere(cls, count: int) -> Planes:
-        """No constraints, for so many points."""
+        """No constraints, for a number of points."""
         return cls(np.full(count, np.inf), np.zeros((count, 3)), np.zeros((count, 3, 3)))
 
     def of(self, points: np.ndarray) -> Planes:

@@ -54,7 +54,7 @@ class RubberForward:
         Solved from the linear model's equilibrium, and if that fails by moving the object in from
         outside. The result does not depend on earlier poses.
 
-        Raises InputError: the pose is no rigid transform in metres.
+        Raises InputError: the pose is not a rigid transform in metres.
         """
         pose, surface, count = checked_pose(T_B_O), self._surface_of(obj), 0
         self._linear.forget()
@@ -111,7 +111,7 @@ class RubberForward:
         and sliding depend on the path. A node sticks from the end of the step in which it came into
         contact.
 
-        Raises InputError: μ is out of range, or a pose is no rigid transform in metres.
+        Raises InputError: μ is out of range, or a pose is not a rigid transform in metres.
         """
         equilibrium = self._equilibrium.varied(friction=checked_friction(friction))
         surface, state = self._surface_of(obj), None

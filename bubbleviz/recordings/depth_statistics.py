@@ -59,8 +59,9 @@ def mean_inflation(rho: np.ndarray) -> float:
 def error_of_mean(series: np.ndarray, fitted: int = 1) -> float:
     """Standard error of the mean of a series (F,) whose values are correlated.
 
-    Widened by Student's quantile over the normal one for its effective number of values, so that
-    1.96 of it are a 95 % interval. `fitted` parameters were subtracted from it; 1: the mean alone.
+    Widened by Student's quantile over the normal one for the effective number of values, so that
+    ±1.96 times it is a 95 % interval. `fitted`: number of parameters fitted to the series; 1: only
+    the mean.
     """
     centred, frames = series - series.mean(), len(series)
     if not centred.any():
@@ -84,7 +85,7 @@ def spatial_correlation(
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns.
 
-    About the mean of each frame: drift of the whole image is no correlation of its pixels.
+    About the mean of each frame: drift of the whole image does not count as correlation of pixels.
     """
     reach = min(_REACH_PX, min(sigma.shape) // 2)
     rows, columns = (slice(None, None, max(1, size // _LINES)) for size in sigma.shape)

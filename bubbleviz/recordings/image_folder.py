@@ -290,7 +290,7 @@ def read_times(path: str | Path) -> np.ndarray:
 def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
     """Absolute gas pressure over time: a CSV of time in s and pressure in Pa.
 
-    Raises InputError: the file cannot be read, or its numbers are no absolute pressure in Pa.
+    Raises InputError: the file cannot be read, or its numbers are not absolute pressures in Pa.
     """
     table = _columns(path, 2)
     usual = float(np.median(table[:, 1]))

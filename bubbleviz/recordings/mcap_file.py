@@ -18,7 +18,7 @@ CHUNK_BYTES = 4 << 20
 
 @dataclass(frozen=True)
 class Flushed:
-    """What of a recording remains if writing fails."""
+    """The part of a recording that remains if writing fails."""
 
     size_bytes: int = 0
     messages: int = 0

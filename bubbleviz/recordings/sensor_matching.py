@@ -151,13 +151,13 @@ def _check_recorded_gas_unit(recording: Recording, sensor: Sensor) -> None:
 def check_gas_unit(
     value: float,  # gas pressure as measured
     sensor: Sensor,
-    name: str,  # of what it was measured in
+    name: str,  # of the recording or source
     where: str = "",  # it was measured there
     then: str = "",  # what to do after mending it
 ) -> None:
     """Refuse a gas pressure that is the sensor file's in a unit other than Pa.
 
-    Gauge pressures in Pa are no other unit: their changes are right. Raises InputError.
+    Gauge pressures in Pa are accepted, as their changes are right. Raises InputError.
     """
     known, expected = sensor.pneumatics, sensor.pneumatics.reference_pressure_pa
     misfits = {unit: abs(pa * value - expected) for unit, pa in _OTHER_UNITS_PA.items()}
@@ -166,7 +166,7 @@ def check_gas_unit(
         raise InputError(
             f"{name}: gas pressure of {value:.4g}{where} is in {unit}, "
             f"not in Pa as FluidPressure messages are (near {expected:.0f} by the sensor file); "
-            f"publish it times {_OTHER_UNITS_PA[unit]:g}{then}"
+            f"multiply it by {_OTHER_UNITS_PA[unit]:g} before publishing{then}"
         )
 
 

@@ -66,7 +66,7 @@ def normalised(grey: np.ndarray) -> np.ndarray:
 
 def motion_bound(
     image: np.ndarray,  # (H, W)
-    variance: np.ndarray,  # (H, W), of the noise of a pixel of it, grey levels squared
+    variance: np.ndarray,  # (H, W), of the noise of a pixel, grey levels squared
     window: int,  # side, pixels
 ) -> np.ndarray:
     """Cramér–Rao bound of the motion of a window around each pixel, (H, W), pixels.

@@ -173,7 +173,7 @@ def recorded_texture(
     if len(seen) < MIN_FRAMES:
         raise InputError(
             f"{recording.path}: shear needs {MIN_FRAMES} readable colour images before the first "
-            f"contact, there are {len(seen)}; record a second without contact first, or do without "
+            f"contact, there are {len(seen)}; record a second without contact first, or leave out "
             "shear (--shear)"
         )
     flow = OpticalFlow.of(seen.values())

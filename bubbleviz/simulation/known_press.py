@@ -1,4 +1,4 @@
-"""Comparison of a predicted press (known object and pose) with frames of it."""
+"""Comparison of a predicted press (known object and pose) with its frames."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Validation:
         obj: RigidObject,
         T_B_O: np.ndarray,  # (4, 4), its pose in B
     ) -> Validation:
-        """Predict the press of an object at a pose and compare it with frames of it.
+        """Predict the press of an object at a pose and compare it with its frames.
 
         By the membrane of the sensor file: rubber where that has a pre-stretch.
 

@@ -207,7 +207,7 @@ def test_gas_pressure_in_another_unit(tmp_path, sensor, command, unit, pa, given
     path = record_frames(tmp_path / "rec.mcap", frames)
     out = () if command == "check" else ("--out", tmp_path / "out.npz")
     told = refusal(command, path, "--sensor", sensor, *out)
-    for word in (str(path), f"gas pressure of {given} on /", f"is in {unit}", f"times {pa:g}"):
+    for word in (str(path), f"gas pressure of {given} on /", f"is in {unit}", f"by {pa:g} before"):
         assert word in told
 
 

@@ -84,7 +84,7 @@ def test_warning_for_an_endpoint_open_to_other_computers(small_sensor_file, host
     )
     assert done.exit_code == 0, done.stderr
     assert done.stderr.count("\n") == warned
-    assert done.stderr.count("anybody on the network can connect") == warned
+    assert done.stderr.count("anyone on the network can connect") == warned
     assert done.stderr.count("NOT ENCRYPTED") == warned
 
 

@@ -41,7 +41,7 @@ def test_live_gas_pressure_in_another_unit(tmp_path, small_sensor_file):
     frames = (replace(each, gas_pressure_pa=1039.1) for each in small_source(small_sensor_file))
     source = f"replay:{record(tmp_path / 'hpa.mcap', frames)}"
     told = refusal("watch", "--source", source, "--sensor", small_sensor_file)
-    assert source in told and "is in hPa, not in Pa" in told and "times 100" in told
+    assert source in told and "is in hPa, not in Pa" in told and "multiply it by 100" in told
 
 
 def test_record_for_a_duration(tmp_path, small_sensor_file):
