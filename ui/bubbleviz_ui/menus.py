@@ -430,8 +430,8 @@ class Menus(QObject):
             self._window,
             "Publish results",
             "Publish at tcp/HOST:PORT, from the next start of publishing.\n"
-            "HOST 127.0.0.1: only this computer receives results;\n"
-            "its network address: others, too",
+            "HOST 127.0.0.1: only this computer can receive results;\n"
+            "a network address of this computer: others can, too",
             text=state.settings.publish_at,
         )
         if chosen:

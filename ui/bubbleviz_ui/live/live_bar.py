@@ -77,7 +77,7 @@ class LiveBar(QFrame):
         self.sensors: list[QToolButton] = []
         self.record = tool_button("● Record", "", live.toggle_recording, checkable=True)
         self.note = QLineEdit()
-        self.note.setPlaceholderText("Note, stamped with the time you began it")
+        self.note.setPlaceholderText("Note, stamped with the time when you began to write")
         self.note.setMinimumWidth(100)
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()

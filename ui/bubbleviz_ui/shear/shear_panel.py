@@ -71,8 +71,8 @@ NUMBERS = {
 TIPS = {
     "force": "Magnitude of the force of the object on the membrane",
     "normal": "Component along the mean normal of the contact, into the sensor",
-    "tangential": "Component across the mean normal of the contact; the friction of the readout is "
-    "along the membrane, which is curved",
+    "tangential": "Component across the mean normal of the contact; differs from friction in the "
+    "readout, which acts along the curved membrane",
     "direction": "Angle of that component about z, from x towards y of the bubble frame",
     "torque": "Torque about the mean normal through the contact's centre",
     "displacement": "Largest displacement along the membrane within the contact",
