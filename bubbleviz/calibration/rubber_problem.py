@@ -645,24 +645,24 @@ def _with_parameters(
 ) -> Identification:
     """The same with the parameters of the rubber, or the reason why λ is not determined.
 
-    λ counts as determined unless its interval at the gauge pressure found contains 1. An interval
-    that contains constant tension ends at the largest λ: rubber with the best λ is still nearer to
-    the truth than constant tension. The gauge pressure G and q, which determines λ, can change
-    together and fit almost as well, along a curve between straight lines in G and in log G (on an
-    oval of uneven thickness, from 3 to 10 kPa, dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G
-    rises from 0.24 to 0.37). So each end of the interval of q follows from the line farther away.
+    An interval that reaches λ = 1 ends there, and one that contains constant tension ends at the
+    largest λ: rubber with the best λ is nearer to the truth than either of them. The gauge
+    pressure G and q, which determines λ, can change together and fit almost as well, along a curve
+    between straight lines in G and in log G (on an oval of uneven thickness, from 3 to 10 kPa,
+    dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37). So each end of
+    the interval of q follows from the line farther away.
     """
     kind, q, surfaces = known.shapes_kind, float(values[0]), known.surfaces
     slope = float(covariance[0, 1] / covariance[1, 1])  # of q over G, along that curve
     at_gauge = HALF_95 * float(np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0)))
     if q < 1.01 * SMALLEST_Q:
         return replace(known, why_not=f"the {kind} fit a constant tension best")
-    if q + at_gauge >= 1.0:
-        return replace(known, why_not=f"λ = 1 fits the {kind} as well")
+    if q > 0.99 * LARGEST_Q:
+        return replace(known, why_not=f"the {kind} fit λ = 1 best, a sheet without tension")
     low, high = (end / known.gauge.value for end in (known.gauge.low, known.gauge.high))
     by_gauge = slope * values[1] * np.array([np.log(max(low, _MIN_GAUGE)), high - 1.0])
     least = max(q - float(np.hypot(wider * at_gauge, by_gauge.min())), SMALLEST_Q)
-    most = min(q + float(np.hypot(wider * at_gauge, by_gauge.max())), LARGEST_Q)
+    most = min(q + float(np.hypot(wider * at_gauge, by_gauge.max())), 1.0)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, most, least))
     sigmas = np.sqrt(np.diag(covariance))
     # errors of the model may count more in the share, but it lies between 0 and 1

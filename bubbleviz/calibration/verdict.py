@@ -122,6 +122,11 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
             "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
+    if found.shapes_kind and found.prestretch is None:
+        out.append(
+            f"λ is not determined: {found.why_not}. Forces are by constant tension, and their "
+            f"intervals wide: {_LEVELS}."
+        )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:
         out.append(f"Only {frames} contact-free frames: choose or record {_MIN_FRAMES} or more.")

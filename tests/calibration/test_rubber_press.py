@@ -45,11 +45,15 @@ def press(membranes, gas_pa, camera, seed):
 
 @pytest.fixture(scope="module")
 def truth():
-    """Sensor, meshes at rest and pressed, and their gas pressures; on a mesh of its own."""
+    return pressed_rubber(STRETCH, MU_H)
+
+
+def pressed_rubber(stretch, mu_h):
+    """Sensor, meshes at rest and pressed, their gas pressures, and λ; on a mesh of its own."""
     cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 900)
-    free = RubberMembrane(cap, 0.0, STRETCH**2 * inverse_metric(cap), MU_H)
+    free = RubberMembrane(cap, 0.0, stretch**2 * inverse_metric(cap), mu_h)
     rest = replace(cap, nodes=Inflation(free, np.zeros_like(cap.nodes)).at(G))
-    membrane = RubberMembrane(rest, G, STRETCH**2 * inverse_metric(cap), MU_H)
+    membrane = RubberMembrane(rest, G, stretch**2 * inverse_metric(cap), mu_h)
     sensor = given(float(rest.nodes[:, 2].max()))
     true_air = sensor.pneumatics.model_copy(
         update={"atmospheric_pressure_pa": ATMOSPHERE_PA, "gauge_pressure_pa": G}
@@ -63,8 +67,8 @@ def truth():
     assert contact.converged
     pressed = replace(rest, nodes=rest.nodes + contact.displacement_3d_m)
     gas = ATMOSPHERE_PA + G, ATMOSPHERE_PA + G + contact.gas_pressure_change_pa
-    stretch = (1.0 - membrane.mean_tension / MU_H) ** (-1.0 / 6.0)
-    return sensor, (rest, pressed), gas, stretch
+    mean_stretch = (1.0 - membrane.mean_tension / mu_h) ** (-1.0 / 6.0)
+    return sensor, (rest, pressed), gas, mean_stretch
 
 
 def given(height):
@@ -168,6 +172,20 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
     rubber = known
     assert rubber.prestretch.low < truth[3] < rubber.prestretch.high
     assert rubber.prestretch.source == f"the press in press; the gauge pressure from {chamber}"
+
+
+def test_stiff_rubber_has_a_prestretch_although_its_interval_holds_1():
+    """The camera tilts by 0.4 mm across the image before the press. Constant tension, which a
+    sensor without prestretch has, is the other extreme."""
+    stiff = pressed_rubber(1.01, 1200.0)
+    found, held = identified(stiff, air_pa=ATMOSPHERE_PA)
+    tilted = held.statistics.range_m + np.linspace(-2e-4, 2e-4, 160)
+    held = replace(held, statistics=replace(held.statistics, range_m=tilted))
+    vented = Quantity.normal(ATMOSPHERE_PA, 2.0, "open chamber")
+    known = with_rubber(opened(found, vented), [], press=held)
+    assert known.prestretch is not None, known.why_not
+    assert known.prestretch.low == 1.0 < stiff[3]
+    assert stiff[3] < known.prestretch.high < 1.2
 
 
 def test_a_reflection_next_to_the_press_changes_little(pressed, with_press):
