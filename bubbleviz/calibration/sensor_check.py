@@ -43,9 +43,15 @@ from bubbleviz.wording import count_of, decimals_of, rounded
 
 CheckVerdict = Literal["fits", "drifted", "another"]
 
-_CAUSES = (*(f"depth {name}" for name in IMAGE_ERRORS), "gas pressure change from the shape")
-_UNITS = "m", "m at 45°", "m at 45°", "1", "Pa"
-_SHOWN = {"m": ("mm", 1e3), "m at 45°": ("mm at 45°", 1e3), "1": ("%", 1e2)}  # in the text
+_CAUSES = {
+    "depth offset": "m",
+    "depth tilt to the right, at 45°": "m",
+    "depth tilt downwards, at 45°": "m",
+    "depth scale": "1",
+    "gas pressure change from the shape": "Pa",
+}
+"""Unit of each cause: those of `IMAGE_ERRORS`, and the gas pressure."""
+_SHOWN = {"m": ("mm", 1e3), "1": ("%", 1e2)}  # in the text
 _GAS = len(IMAGE_ERRORS)  # place of the gas pressure among the causes
 _REMEDY = {
     True: "inflate the sensor to the gauge pressure in its file, or identify it again",
@@ -382,7 +388,7 @@ class _RestComparison:
         none is excluded, and all are fitted together.
         """
         rows, together = [], self.causes if len(self.causes) < 2 else range(len(_CAUSES))
-        for k, (name, unit) in enumerate(zip(_CAUSES, _UNITS, strict=True)):
+        for k, (name, unit) in enumerate(_CAUSES.items()):
             size, half = self._size(k, together)
             remedy = _REMEDY[k == _GAS] if k in self.causes and not self.shape.todo else ""
             rows.append(CheckRow(name, unit, size, half, self._limit(k), remedy))
