@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from math import inf, nan
 from numbers import Real
+from os import PathLike
+from pathlib import Path
 
 
 class InputError(Exception):
@@ -38,6 +40,21 @@ class SolveError(Exception):
 
 
 # Checks of arguments that the command line makes of its options, for callers from Python.
+
+
+def check_type(argument: str, value: object, *types: type) -> None:
+    """Refuse what is of none of the types. Raises InputError."""
+    if not isinstance(value, types):
+        names = " or ".join(each.__name__ for each in types)
+        raise InputError(f"{argument}: expected {names}, not {type(value).__name__}")
+
+
+def given_path(argument: str, value: object) -> Path:
+    """Path of an argument. Raises InputError: it is none, or empty, which is the current folder."""
+    check_type(argument, value, str, PathLike)
+    if value == "":
+        raise InputError(f"{argument}: the path is empty; give one")
+    return Path(value)  # type: ignore[arg-type]
 
 
 def check_number(option: str, value: object, lowest: float, highest: float = inf) -> None:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from bubbleviz.errors import InputError, check_choice
+from bubbleviz.errors import InputError, check_choice, given_path
 from bubbleviz.files import SUFFIXES, exists, presets_folder, read_triangles
 
 _MAX_SIZE_M = 1.0  # of the bounding box; larger meshes are in millimetres
@@ -33,7 +33,7 @@ def load_object(
     """
     if isinstance(name, RigidObject):
         return name
-    path = Path(name)
+    path = given_path("object", name)
     if not exists(path):
         shipped = {p.stem: p for p in sorted(presets_folder("objects").glob("*.*"))}
         if path.suffix.lower() in SUFFIXES or path.stem not in shipped:

@@ -20,7 +20,7 @@ from pydantic import (
     model_validator,
 )
 
-from bubbleviz.errors import InputError, check_number
+from bubbleviz.errors import InputError, check_number, check_type, given_path
 from bubbleviz.files import (
     MAX_COLOUR_DELAY_S,
     checked,
@@ -348,7 +348,8 @@ def save_sensor(sensor: Sensor, path: str | Path, *, overwrite: bool = False) ->
         The name does not end in .toml, or a file exists or cannot be written; then nothing is
         written.
     """
-    path = Path(path)
+    check_type("sensor", sensor, Sensor)
+    path = given_path("path", path)
     membrane, calibration = sensor.membrane, sensor.calibration
     with ExitStack() as files:
         # Files appear in reverse order: the sensor file last, after the files that it names.

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from types import NoneType
 from typing import Any
 
 import numpy as np
 
 from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView, PixelModel, RangeObserver
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_type
 from bubbleviz.membrane import (
     Gas,
     MembraneMesh,
@@ -51,6 +52,7 @@ class SensorModel:
         """
         own, pixels = sensor.camera, None
         shape = own.height, own.width
+        check_type("intrinsics", intrinsics, Intrinsics, NoneType)
         if intrinsics is not None and (intrinsics.height, intrinsics.width) != shape:
             raise InputError(
                 f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, but the "

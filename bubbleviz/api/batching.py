@@ -19,7 +19,7 @@ import bubbleviz
 from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
 from bubbleviz.api.summary import Summary
-from bubbleviz.errors import InputError, SolveError
+from bubbleviz.errors import InputError, SolveError, check_number
 from bubbleviz.files import (
     cannot_write,
     file_hash,
@@ -212,6 +212,8 @@ def batch(
         No recordings, no such sensor or cluster, or `out` cannot be used. Problems of single
         recordings are in their rows.
     """
+    if jobs is not None:
+        check_number("--jobs", jobs, 1)
     if jobs is not None and scheduler is not None:
         raise InputError("--jobs counts processes on this machine; leave it out with --scheduler")
     found, out = find_recordings(folder), Path(out)

@@ -21,7 +21,7 @@ from bubbleviz.api.estimator import (
 from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
-from bubbleviz.errors import InputError, check_seconds
+from bubbleviz.errors import InputError, check_seconds, given_path
 from bubbleviz.files import pose_numbers, refuse_existing, refuse_input
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
@@ -394,7 +394,7 @@ def _check_outputs(
     frames: object, *outputs: tuple[str | Path | None, str], overwrite: bool
 ) -> None:
     """Check the paths, with the suffixes of their kinds, that results are to be written to."""
-    given = [(Path(path), suffix) for path, suffix in outputs if path is not None]
+    given = [(given_path("output", path), suffix) for path, suffix in outputs if path is not None]
     if len({path.absolute() for path, _ in given}) < len(given):
         raise InputError(f"{given[0][0]}: given for both --out and --csv; choose two names")
     for path, suffix in given:

@@ -96,6 +96,8 @@ class Estimator:
                 f"sensor {AUTO}: needs a recording to choose the sensor by; give Estimator a "
                 "sensor file or preset"
             )
+        if init is not None and object is None:
+            raise InputError("init: the pose of an object, which is not given; give object, too")
         initial_pose = given_pose(init)
         self._tracked = None if object is None else (load_object(object, unit), initial_pose)
         self._sensor = with_colour_delay(load_sensor(sensor), colour_delay_s)

@@ -18,6 +18,7 @@ from bubbleviz.api.estimator import FrameSolver, patch_options, solved
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.api.summary import Summary
+from bubbleviz.errors import check_type
 from bubbleviz.files import refuse_input, whole_file
 from bubbleviz.output import ExportPlan, read_poses
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
@@ -88,6 +89,7 @@ def export(
         An input does not exist or does not match the others, or `out` exists; then nothing is
         written.
     """
+    check_type("what", what, str, Sequence)
     texts = [what] if isinstance(what, str) else what
     kinds = [word.strip() for text in texts for word in text.split(",") if word.strip()]
     joined = None if poses is None else read_poses(poses)

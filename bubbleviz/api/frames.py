@@ -11,7 +11,7 @@ import numpy as np
 
 from bubbleviz.api.summary import Summary
 from bubbleviz.camera import Intrinsics
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_type
 from bubbleviz.recordings import (
     Frame,
     FrameSource,
@@ -300,6 +300,7 @@ def info(recording: str | Path | Frames | Recording) -> RecordingInfo:
     if isinstance(recording, str | Path):
         with Recording(recording) as opened:
             return info(opened)
+    check_type("recording", recording, str, Path, Frames, Recording)
     source = recording.source if isinstance(recording, Frames) else recording
     if not isinstance(source, Recording):
         raise InputError(

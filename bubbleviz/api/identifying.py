@@ -23,7 +23,7 @@ from bubbleviz.calibration import (
     sentence,
     write_sensor,
 )
-from bubbleviz.errors import InputError, check_choice, check_number
+from bubbleviz.errors import InputError, check_choice, check_number, check_type
 from bubbleviz.files import parse_pose, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource
@@ -241,6 +241,7 @@ def identify(
             refuse_input(each, *map(path_of, (frames, vented, *levels)))
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
     frames = open(frames) if isinstance(frames, str | Path) else frames
+    check_type("frames", frames, Frames, FrameSource)
     source, warning = CachedFrames(frames), getattr(frames, "note", None) or None
     if isinstance(contact_free, str):
         contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")

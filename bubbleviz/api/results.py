@@ -514,7 +514,9 @@ class Run(Sequence[FrameResult], Summary):
         return np.array([row[name] for row in self.rows()])
 
     def __repr__(self) -> str:
-        force = np.linalg.norm(self.force_n, axis=1) if len(self) else np.zeros(0)
+        if not len(self):
+            return f"<0 frames of {self.context['recording']}>"
+        force = np.linalg.norm(self.force_n, axis=1)
         known = force[np.isfinite(force)]
         largest = f", up to {known.max():.3g} N" if len(known) else ""
         statuses = counted(Counter(each["status"] for each in self.rows()))

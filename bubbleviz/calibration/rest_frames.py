@@ -10,7 +10,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.camera import DepthCamera, PixelModel
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, check_type
 from bubbleviz.membrane import build_mesh
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -174,6 +174,8 @@ def frame_numbers(ranges: Ranges) -> list[int]:
 
 def as_ranges(frames: Iterable[int]) -> Ranges:
     every = set(frames)
+    for each in every:
+        check_type("frame", each, int, np.integer)
     starts = sorted(k for k in every if k - 1 not in every)
     stops = sorted(k + 1 for k in every if k + 1 not in every)
     return tuple(zip(starts, stops, strict=True))

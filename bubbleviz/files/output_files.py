@@ -17,7 +17,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, given_path
 from bubbleviz.wording import encodable
 
 PICTURES = (".png", ".svg", ".pdf")
@@ -45,7 +45,7 @@ def whole_file(path: str | Path, *suffixes: str, overwrite: bool = False) -> Ite
 
     Raises InputError: as `refuse_existing`, or writing fails.
     """
-    path = Path(path)
+    path = given_path("output", path)
     refuse_existing(path, *suffixes, overwrite=overwrite)
     remove_unfinished(path)
     temporary = _hidden(path, f"{_computer()}-{os.getpid()}-{secrets.token_hex(4)}")
@@ -97,7 +97,7 @@ def refuse_existing(path: str | Path, *suffixes: str, overwrite: bool = False) -
     With `overwrite` it may exist, but not as a folder with files of kinds that this program does
     not write. If `suffixes` are given, its name must end in one of them; "" means a folder.
     """
-    path = Path(path)
+    path = given_path("output", path)
     ending = path.suffix.lower() if path.suffix[1:2].isalpha() else ""  # not that of "press_0.5"
     if suffixes and ending not in suffixes:
         *others, last = filter(None, suffixes)
@@ -135,7 +135,7 @@ def refuse_input(output: str | Path | None, *read: str | Path | None) -> None:
     for each in read:
         if output is None or each is None:
             continue
-        written, original = Path(output).resolve(), Path(each).resolve()
+        written, original = given_path("output", output).resolve(), Path(each).resolve()
         inside = original in written.parents and written.suffix == ".mcap" and written.exists()
         if inside or written == original or written in original.parents:
             what = f"a recording in {each}" if inside else each

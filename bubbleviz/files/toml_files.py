@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, given_path
 from bubbleviz.files.reading import as_input_error, exists
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -20,7 +20,7 @@ def named_file(name: str | Path, presets: Path, what: str) -> Path:
 
     Raises InputError: there is neither.
     """
-    path = Path(name)
+    path = given_path(what, name)
     if exists(path):
         return path
     path = presets / f"{path.stem}.toml"

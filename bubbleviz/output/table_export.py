@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bubbleviz.errors import InputError
 from bubbleviz.files import rows_of, write_rows
 from bubbleviz.output.exporter import Exporter
 from bubbleviz.output.results import csv_row, magnitude_half_width_n, summary_row
@@ -57,7 +58,9 @@ class FrameTable:
         self._more.append(more | dict(pose or {}))
 
     def rows(self) -> list[dict[str, Any]]:
-        """Values of each frame by key of RESULT.npz."""
+        """Values of each frame by key of RESULT.npz. Raises InputError: no frames."""
+        if not self._rows:
+            raise InputError("no frames were given; choose at least one")
         if self._measured != len(self._rows):  # the bias depends on all frames
             wrench = np.array([row["wrench_n"] for row in self._rows])
             contact_free = np.array([row["status"] == "no_contact" for row in self._rows])

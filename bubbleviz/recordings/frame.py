@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -122,6 +122,7 @@ class Frame:
 # Interface of the frame sources.
 
 
+@runtime_checkable
 class FrameSource(Protocol):
     """Frames by index: a recording, or a simulation that renders them on demand.
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.camera import ColourImage, EncodedImage, Intrinsics
-from bubbleviz.errors import InputError
+from bubbleviz.errors import InputError, given_path
 from bubbleviz.files import as_input_error
 from bubbleviz.plugins import plugin
 from bubbleviz.recordings.bag import UNREADABLE, Bag, Messages
@@ -365,7 +365,7 @@ def open_recording(path: str | Path, **topics: str | None) -> FrameSource:
     InputError
         It cannot be opened, or a topic was given for a format without topics.
     """
-    path = Path(path)
+    path = given_path("recording", path)
     suffix = path.suffix.lower()
     read = None if suffix in _ROS_SUFFIXES else plugin("readers", suffix.removeprefix("."))
     if read is None:

@@ -32,14 +32,15 @@ class DepthNoise:
 
     def __post_init__(self) -> None:
         bad = [name for name, value in vars(self).items() if not 0.0 <= value < np.inf]
-        bad += [n for n in ("correlation_frames", "holes", "outliers") if getattr(self, n) >= 1.0]
+        shares = "relative", "correlation_frames", "holes", "outliers"
+        bad += [name for name in shares if getattr(self, name) >= 1.0]
         if self.absolute_m > 0.1:
             raise InputError(
                 f"noise absolute_m = {self.absolute_m} (--noise-sigma): above 0.1 m; give metres, "
                 "not millimetres"
             )
         if bad:
-            most = "below 1" if bad[0] in ("correlation_frames", "holes", "outliers") else "finite"
+            most = "below 1" if bad[0] in shares else "finite"
             option = " (--noise-sigma)" if bad[0] == "absolute_m" else ""
             raise InputError(
                 f"noise {bad[0]} = {getattr(self, bad[0])}{option}: give 0 or more, {most}"

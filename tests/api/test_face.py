@@ -60,61 +60,79 @@ def test_type_information_is_shipped():
     assert (Path(bv.__file__).parent / "py.typed").is_file()
 
 
-@pytest.mark.parametrize(
-    ("verb", "options", "words"),
-    [
-        ("estimate", {"friction": -1.0}, "--friction -1.0: give a finite number of 0 or more"),
-        ("estimate", {"friction": np.nan}, "--friction nan"),
-        ("estimate", {"kappa": "2"}, "--kappa 2: give a finite number"),
-        ("estimate", {"colour_delay_s": 3.0}, "--colour-delay 3.0: .* from -0.5 to 0.5"),
-        ("estimate", {"frames": None}, "not a NoneType"),
-        ("estimate", {"frames": [np.ones((3, 4))]}, "not a ndarray; use bv.Estimator for arrays"),
-        ("estimate", {"frames": ["press.mcap"]}, "not a str"),
-        ("estimate", {"frames": iter(())}, "not a tuple_iterator"),
-        ("track", {"object": "cylinder", "init": np.eye(3)}, "not a finite 4×4 matrix"),
-        ("identify", {"surface": "cone"}, "--surface cone: choose one of .*ellipsoid"),
-        ("identify", {"level_sigma": -1.0}, "--level-sigma -1.0"),
-        ("compare", {"other": "a.mcap", "align": "size"}, "--align size: choose one of time, con"),
-    ],
-)
-def test_arguments_are_checked_as_options_are(verb, options, words, frames, sensor):
-    given = (options.pop("frames"),) if "frames" in options else (frames,)
-    if "object" not in options and "other" not in options:
-        given = (*given, sensor)
-    with pytest.raises(bv.InputError, match=words):
-        getattr(bv, verb)(*given, **options)
+POSE = "0 0 0.044 0 0 0 1"
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    ("call", "words"),
     [
-        ({"model": "wood"}, "--model wood: choose one of None, rubber, linear"),
-        ({"frames": 2.5}, "--frames 2.5: give a whole number"),
-        ({"seed": -1}, "--seed -1: give a whole number of 0 or more"),
-        ({"rate_hz": 0.0}, "--rate 0.0: .* from 0.01 to 10000"),
+        (lambda f, s: bv.estimate(f, s, friction=-1.0), "--friction -1.0: .* number of 0 or more"),
+        (lambda f, s: bv.estimate(f, s, friction=np.nan), "--friction nan"),
+        (lambda f, s: bv.estimate(f, s, kappa="2"), "--kappa 2: give a finite number"),
+        (lambda f, s: bv.estimate(f, s, colour_delay_s=3.0), "--colour-delay 3.0: .* -0.5 to 0.5"),
+        (lambda f, s: bv.estimate(f, s, out=3), "output: expected str or PathLike, not int"),
+        (lambda f, s: bv.estimate(None, s), "not a NoneType"),
+        (lambda f, s: bv.estimate("", s), "recording: the path is empty"),
+        (lambda f, s: bv.estimate([np.ones((3, 4))], s), "ndarray; use bv.Estimator for arrays"),
+        (lambda f, s: bv.estimate(["press.mcap"], s), "not a str"),
+        (lambda f, s: bv.estimate(iter(()), s), "not a tuple_iterator"),
+        (lambda f, s: bv.estimate(f[3:3], s), "no frames were given"),
+        (lambda f, s: bv.track(f, "cylinder", s, init=np.eye(3)), "not a finite 4×4 matrix"),
+        (lambda f, s: bv.track(f, None, s), "object: expected str or PathLike, not NoneType"),
+        (lambda f, s: bv.Estimator(s, init=POSE), "the pose of an object, which is not given"),
+        (lambda f, s: bv.Estimator(s, intrinsics={}), "intrinsics: expected Intrinsics .*not dict"),
+        (lambda f, s: bv.Estimator(None), "sensor file: expected str or PathLike, not NoneType"),
+        (lambda f, s: bv.identify(f, s, surface="cone"), "--surface cone: .* one of .*ellipsoid"),
+        (lambda f, s: bv.identify(f, s, level_sigma=-1.0), "--level-sigma -1.0"),
+        (lambda f, s: bv.identify(f, s, contact_free=[0.5]), "frame: expected int .*not float"),
+        (lambda f, s: bv.identify(f[0], s), "frames: expected Frames .*not Frame"),
+        (lambda f, s: bv.compare(f, "a.mcap", align="size"), "--align size: .* one of time, con"),
+        (lambda f, s: bv.info(f[0]), "recording: expected .*not Frame"),
+        (lambda f, s: bv.export(f, "x.csv", s, what=3), "what: expected str or Sequence, not int"),
+        (lambda f, s: bv.batch("x", "y", jobs=0), "--jobs 0: give a finite number of 1 or more"),
+        (lambda f, s: bv.save_sensor("auto", "x.toml"), "sensor: expected Sensor, not str"),
+        (lambda f, s: bv.simulate(s, "cylinder", POSE, model="wood"), "--model wood: choose one"),
+        (
+            lambda f, s: bv.simulate(s, "cylinder", POSE, frames=2.5),
+            "--frames 2.5: .* whole number",
+        ),
+        (
+            lambda f, s: bv.simulate(s, "cylinder", POSE, seed=-1),
+            "--seed -1: .* number of 0 or more",
+        ),
+        (lambda f, s: bv.simulate(s, "cylinder", POSE, rate_hz=0.0), "--rate 0.0: .* from 0.01 to"),
+        (
+            lambda f, s: bv.simulate(s, "cylinder", POSE, noise_relative=50),
+            "relative = 50: .*below 1",
+        ),
+        (
+            lambda f, s: bv.record("synthetic:", "x.mcap", duration_s=-1),
+            "--duration -1: give a fin",
+        ),
+        (lambda f, s: bv.publish("synthetic:", duration_s=-1), "--duration -1: give a finite"),
+        (lambda f, s: bv.publish("synthetic:", domain=-1), "-1: give a whole number from 0 to 232"),
+        (
+            lambda f, s: bv.publish("synthetic:", domain=1.5),
+            "1.5: give a whole number from 0 to 232",
+        ),
+        (lambda f, s: bv.watch("synthetic:", s, duration_s=-1), "--duration -1: give a finite"),
+        (lambda f, s: bv.connect("synthetic:", s, timeout_s=-1), "timeout_s -1: give a finite"),
     ],
 )
-def test_arguments_of_simulations_are_checked(options, words, sensor):
+def test_arguments_are_checked_as_options_are(call, words, frames, sensor):
     with pytest.raises(bv.InputError, match=words):
-        bv.simulate(sensor, "cylinder", "0 0 0.044 0 0 0 1", **options)
+        call(frames, sensor)
 
 
-@pytest.mark.parametrize("verb", ["record", "publish", "watch"])
-def test_a_negative_duration_is_refused(verb, sensor, tmp_path):
-    given = {"out": tmp_path / "rec.mcap"} if verb == "record" else {"listen": "tcp/127.0.0.1:0"}
-    with pytest.raises(bv.InputError, match="--duration -1: give a finite number of 0 or more"):
-        getattr(bv, verb)("synthetic:", sensor=sensor, duration_s=-1, **given)
+def test_an_empty_run_has_no_table_and_no_file(estimated, tmp_path):
+    empty = estimated[3:3]
+    for read in (empty.table, empty.dataset, empty.plot, lambda: empty.save(tmp_path / "r.npz")):
+        with pytest.raises(bv.InputError, match="no frames were given"):
+            read()
+    assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("domain", [-1, 1.5])
-def test_a_domain_that_ros_does_not_have_is_refused(domain):
-    with pytest.raises(bv.InputError, match=f"{domain}: give a whole number from 0 to 232"):
-        bv.publish("synthetic:", domain=domain)
-
-
-def test_a_negative_time_out_is_refused(sensor):
-    with pytest.raises(bv.InputError, match="timeout_s -1: give a finite number of 0 or more"):
-        bv.connect("synthetic:", sensor, timeout_s=-1)
+def test_the_time_out_of_a_loop_over_a_stream_is_checked(sensor):
     with (
         bv.connect("synthetic:", sensor) as stream,
         pytest.raises(bv.InputError, match="timeout_s nan"),
@@ -400,8 +418,6 @@ def test_frames_and_poses_of_a_stream(press, sensor, tmp_path):
 
 
 def test_errors_equal_those_of_the_command_line(frames, sensor, tmp_path):
-    with pytest.raises(bv.InputError, match="no frames were given"):
-        bv.estimate(frames[3:3], sensor)
     for given in (frames, frames[0]):
         with pytest.raises(bv.InputError, match="no preset has a camera of 56×43 pixels"):
             bv.estimate(given)
