@@ -10,6 +10,7 @@ from bubbleviz.membrane import ObjectSurface
 from bubbleviz.pose import moved
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import study_object
+from tests.membrane.domes import pose
 
 SMALL = Grid(
     objects=("frustum",), noises=((1.5e-4, 0.0),), frames=5, paths=1, seeds=1, truth_nodes=4_000
@@ -32,8 +33,7 @@ def test_coverage_of_known_rows():
 def test_libraries_register_a_complete_surface():
     model = ObjectSurface(study_object("frustum"))
     points, _ = model.sample(2_000, seed=8)
-    T = np.eye(4)
-    T[:3, 3] = [0.01, 0.0, 0.04]
+    T = pose(0.01, 0.0, 0.04)
     start = moved(T, np.array([1e-3, 1e-3, -1e-3, 0.03, 0.02, -0.03]), T[:3, 3])
     for register in libraries(model).values():
         assert np.abs(register(points + T[:3, 3], start) - T).max() < 5e-3

@@ -21,6 +21,7 @@ from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, still_frames
+from tests.membrane.domes import pose
 
 from .identified import identify, opened, with_air
 
@@ -59,11 +60,9 @@ def pressed_rubber(stretch, mu_h):
         update={"atmospheric_pressure_pa": ATMOSPHERE_PA, "gauge_pressure_pa": G}
     )
     ball = load_object("sphere")
-    pose = np.eye(4)
-    pose[:3, 3] = -0.012, 0.006, 0.0
-    top = ball.vertices[:, 2].min()
-    pose[2, 3] = float(rest.nodes[:, 2].max()) - top - 0.006
-    contact = RubberForward(membrane, Gas.of(true_air, rest)).press(ball, pose)
+    top = rest.nodes[:, 2].max() - ball.vertices[:, 2].min()
+    there = pose(-0.012, 0.006, top - 0.006)
+    contact = RubberForward(membrane, Gas.of(true_air, rest)).press(ball, there)
     assert contact.converged
     pressed = replace(rest, nodes=rest.nodes + contact.displacement_3d_m)
     gas = ATMOSPHERE_PA + G, ATMOSPHERE_PA + G + contact.gas_pressure_change_pa

@@ -14,6 +14,7 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.zeros import zeros_of
+from tests.membrane.domes import pose
 from tests.rubber_renders import Renders, camera_of, dome_sensor, render
 from tests.small_press import changed
 
@@ -33,9 +34,9 @@ def twin():
     sensor = dome_sensor(camera_of(160, 107.5), atmosphere_pa=AIR_PA)
     sensor = changed(sensor, membrane={"prestretch": 1.2, "nodes": 500})
     model = SensorModel.of(sensor, nodes=1500)
-    ball, pose = load_object("sphere"), np.eye(4)
-    pose[:3, 3] = 0.006, -0.004, model.mesh.nodes[:, 2].max() - ball.vertices[:, 2].min() - 0.007
-    press = RubberForward(model.rubber, model.gas).press(ball, pose)
+    ball = load_object("sphere")
+    top = model.mesh.nodes[:, 2].max() - ball.vertices[:, 2].min()
+    press = RubberForward(model.rubber, model.gas).press(ball, pose(0.006, -0.004, top - 0.007))
     assert press.converged
     shapes = np.stack([model.mesh.nodes, model.mesh.nodes + press.displacement_3d_m])
     gauge = sensor.pneumatics.gauge_pressure_pa + np.array([0.0, press.gas_pressure_change_pa])

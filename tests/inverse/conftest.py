@@ -12,6 +12,7 @@ from bubbleviz.inverse import ConstantTension, Estimator, EstimatorOptions, Pape
 from bubbleviz.membrane import Contact, ForwardModel, Gas, MembraneMesh, build_mesh
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
+from tests.membrane.domes import pose
 from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render, rubber_truth
 
 SENSOR = load_sensor("pico_flexx_75mm")
@@ -45,10 +46,8 @@ def fine_mesh():
 
 def press(name, depth_m, place_m=(0.006, -0.004)):
     mesh = fine_mesh()
-    T_B_O = np.eye(4)
-    T_B_O[:3, 3] = [*place_m, 0.05 - depth_m]
     model = ForwardModel(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
-    contact = model.press(load_object(name), T_B_O)
+    contact = model.press(load_object(name), pose(*place_m, 0.05 - depth_m))
     return Press(mesh, contact, MembraneView(CAMERA, mesh).range_image(contact.displacement_m))
 
 

@@ -20,20 +20,19 @@ from bubbleviz.inverse import (
 )
 from bubbleviz.membrane import (
     ForwardModel,
-    Gas,
     RubberForward,
     RubberMembrane,
     mesh_cap,
     refined_part,
-    spherical_cap,
 )
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, load_sensor
+from tests.membrane.domes import CAP, CHAMBER, GAUGE, TENSION, A, H, dome, pose
 from tests.oracles.rubber_oracle import AxialRubber
 
-A, H, GAUGE, CHAMBER, STRETCH = 0.045, 0.020, 2500.0, 3e-4, 1.2
+STRETCH = 1.2
 RADIUS = (A**2 + H**2) / (2 * H)
 BALL = 0.015
 NOISE_M = 5e-5
@@ -68,17 +67,13 @@ def on_axis(depth):
 @cache
 def two_balls(membrane="rubber"):
     """A press of two balls by a forward model on a separate mesh, with the true pixels."""
-    mesh = mesh_cap(spherical_cap(A, H), 4_000)
-    tension = 0.5 * GAUGE * RADIUS
-    gas = Gas(101_325.0 + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas)
-    T = np.eye(4)
-    T[2, 3] = H - (0.005 if membrane == "rubber" else 0.004)
+    (rubber, gas), balls = dome(4_000, STRETCH), load_object("two_spheres")
+    mesh = rubber.mesh
     if membrane == "rubber":
-        model = RubberForward(RubberMembrane.uniform(mesh, GAUGE, tension, STRETCH), gas)
-        contact = model.press(load_object("two_spheres"), T)
+        contact = RubberForward(rubber, gas).press(balls, pose(z=H - 0.005))
         motion = contact.displacement_3d_m
     else:
-        contact = ForwardModel(mesh, tension, gas).press(load_object("two_spheres"), T)
+        contact = ForwardModel(mesh, TENSION, gas).press(balls, pose(z=H - 0.004))
         motion = contact.displacement_m
     assert contact.converged
     share = touching_share(mesh, contact.contact_pressure_pa)
@@ -244,7 +239,7 @@ def test_single_images_of_shipped_sensors_are_not_refined(name, solver):
 
 
 def test_without_contact_nothing_is_refined():
-    mesh = mesh_cap(spherical_cap(A, H), 4_000)
+    mesh = mesh_cap(CAP, 4_000)
     result = pipeline().process(frame_of(mesh, np.zeros_like(mesh.nodes)), PRODUCTS)
     assert result.estimate.status == "no_contact"
     assert result.estimate.fine is None
@@ -253,7 +248,7 @@ def test_without_contact_nothing_is_refined():
 
 def test_the_same_rubber_on_finer_triangles_has_the_same_energy_and_forces():
     """Of shapes that are linear on the coarse ones; with other stress-free triangles each."""
-    mesh = mesh_cap(spherical_cap(A, H), 200)
+    mesh = mesh_cap(CAP, 200)
     random = np.random.default_rng(0)
     usual = RubberMembrane.uniform(mesh, GAUGE, 70.0, STRETCH)
     uneven = usual.inverse * random.uniform(0.9, 1.1, (len(mesh.triangles), 1, 1))
@@ -271,7 +266,7 @@ def test_the_same_rubber_on_finer_triangles_has_the_same_energy_and_forces():
 
 
 def test_submesh_ends_in_fixed_nodes_and_covers_its_triangles():
-    mesh = mesh_cap(spherical_cap(A, H), 300)
+    mesh = mesh_cap(CAP, 300)
     inside = np.hypot(*mesh.nodes[mesh.triangles].mean(axis=1)[:, :2].T) < 0.6 * A
     chosen = np.hypot(*mesh.nodes[mesh.triangles].mean(axis=1)[:, :2].T) < 0.3 * A
     finer = refined_part(mesh, inside, chosen)

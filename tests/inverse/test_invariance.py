@@ -1,106 +1,19 @@
-"""The result of a frame does not depend on mesh, rim or earlier frames."""
-
-from dataclasses import replace
+"""The result of a frame of the real press does not depend on earlier frames."""
 
 import numpy as np
 import pytest
 
-from benchmarks import membranes
-from bubbleviz.errors import SolveError
-from bubbleviz.inverse import RIM_SLACK_M, RUBBER, EstimatorOptions
-from bubbleviz.membrane import refinement
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
-from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, Press, TruthBank, noise_name
-from bubbleviz.study.accuracy import Grid, specimen
 from bubbleviz.zeros import zeros_of
 
 PATCH = frozenset({"patch"})
-LARGEST_CHANGE = 0.03
-MESH, RIM = "mesh × 4", "rim prior × 3"
-
-
-def finer(model):
-    """The sensor on a mesh of four times as many nodes."""
-    if model.sensor.membrane.shape == "spherical_cap":
-        fine = SensorModel.of(model.sensor, nodes=4 * len(model.mesh.nodes)).mesh
-        return replace(model, mesh=fine)
-    return replace(model, mesh=refinement(model.mesh).mesh)
-
-
-def variants(model):
-    """Pipelines of the exact estimator that should find the same force; the first is as usual.
-
-    There is no contact zone whose radius could be chosen: which nodes may touch is found by the L1
-    term in every frame.
-    """
-    usual = EstimatorOptions(RUBBER)
-    return {
-        "": Pipeline(model, usual),
-        MESH: Pipeline(finer(model), usual),
-        RIM: Pipeline(model, replace(usual, rim_slack_m=3.0 * RIM_SLACK_M)),
-    }
-
-
-QUIET, LOUD = DepthNoise(absolute_m=1e-4), DepthNoise(relative=0.01)
-PRESSES = [
-    (name, obj, depth, noise)
-    for name in ("sensor", "dome λ 1.2", "oval sheet λ 1.15")
-    for obj in ("sphere", "puck")
-    for depth in (0.15, 0.3)
-    for noise in (QUIET, LOUD)
-]
 
 
 @pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
-@pytest.mark.parametrize(
-    ("name", "obj", "share", "noise"),
-    PRESSES,
-    ids=lambda value: noise_name(value) if isinstance(value, DepthNoise) else str(value),
-)
-def test_invariance_on_simulated_rubber(name, obj, share, noise):
-    make = membranes.specimen if "sheet" in name else specimen
-    own = make(name, load_sensor("pico_flexx_75mm"), Grid(truth_nodes=2_600))
-    bank = TruthBank(own.presses, 7)
-    try:
-        sighting = bank.simulate(Press(obj, share * float(bank.mesh.nodes[:, 2].max()), False))
-    except SolveError as error:  # deep pucks
-        pytest.skip(str(error))
-    frame = bank.frame(sighting.range_m, noise, 0)
-    force = {
-        changed: force_of(each.process(frame, PATCH))
-        for changed, each in variants(own.model(noise)).items()
-    }
-    usual = force.pop("")
-    assert set(force) == {MESH, RIM}
-    assert all(0.0 < abs(each / usual - 1.0) < LARGEST_CHANGE for each in force.values())
-
-
-@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
-def test_invariance_on_the_real_press(punyo_press):
-    sensor = load_sensor("punyo_oval_d405")
-    with Recording(punyo_press) as recording:
-        frames = [recording[k] for k in range(62, 90, 4)]
-    model = SensorModel.of(sensor, frames[0].intrinsics)
-    forces = {
-        name: np.median([force_of(each.process(frame, PATCH)) for frame in frames][3:])
-        for name, each in variants(model).items()
-    }
-    usual = forces.pop("")
-    assert usual > 2.0
-    assert set(forces) == {MESH, RIM}
-    for force in forces.values():
-        assert abs(force / usual - 1.0) < LARGEST_CHANGE
-
-
-@pytest.fixture(scope="module")
-def changes(punyo_press):
-    """Areas and forces of the held press by other ways to a frame, relative to the frame alone.
-
-    Played, and after jumps from before, within and after the hold.
-    """
+def test_warm_starts_of_the_real_press(punyo_press):
+    """Held frames, played and after jumps from before, within and after the hold, and alone."""
     hold = range(72, 90, 2)
     with Recording(punyo_press) as recording:
         frames = {k: recording[k] for k in (62, 68, *range(72, 90))}
@@ -115,12 +28,7 @@ def changes(punyo_press):
     alone = [found(k) for k in hold]
     area = np.array([[r.patch.area_m2 for r in way] for way in (alone, *ways)])
     force = np.array([[force_of(r) for r in way] for way in (alone, *ways)])
-    return np.abs(area[1:] / area[0] - 1.0), np.abs(force[1:] / force[0] - 1.0)
-
-
-@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
-def test_warm_starts_of_the_real_press(changes):
-    areas, forces = changes
+    areas, forces = np.abs(area[1:] / area[0] - 1.0), np.abs(force[1:] / force[0] - 1.0)
     assert np.quantile(areas, 0.9) < 0.05
     assert forces.max() < 0.015
     assert np.mean((forces < 0.01) & (areas < 0.03)) >= 0.95

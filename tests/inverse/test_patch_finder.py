@@ -33,6 +33,7 @@ from tests.inverse.conftest import (
     first,
     press,
 )
+from tests.membrane.domes import pose
 from tests.rubber_renders import rubber_truth
 
 MESH = build_mesh(SENSOR, 2000)
@@ -198,9 +199,8 @@ def test_no_pressure_and_pressure_everywhere_are_patches_too():
 def test_a_flat_face_has_no_holes_where_the_camera_is_better_than_the_mesh(name):
     linear = EstimatorOptions(solver="linear")
     pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), options=linear)
-    T = np.eye(4)
-    T[:3, 3] = [0.006, 0.0, 0.022]
-    source = SyntheticSource(pipeline.model.sensor, load_object(name), T[None], model="linear")
+    sensor, there = pipeline.model.sensor, pose(0.006, 0.0, 0.022)
+    source = SyntheticSource(sensor, load_object(name), [there], model="linear")
     truth = source.truth(0)
     patch = pipeline.process(source[0], frozenset({"patch", "pixel_mask"})).patch
     assert overlap(patch.pixel_mask, truth.patch_mask) > 0.8

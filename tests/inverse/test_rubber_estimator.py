@@ -22,7 +22,6 @@ from bubbleviz.inverse import (
 )
 from bubbleviz.membrane import (
     ForwardModel,
-    Gas,
     RubberForward,
     RubberMembrane,
     mesh_cap,
@@ -32,13 +31,12 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor
 from bubbleviz.simulation import refined_press
+from tests.membrane.domes import AIR, CAP, GAUGE, TENSION, A, H, gas_of, pose
 from tests.oracles.rubber_oracle import AxialRubber
 from tests.small_press import changed
 
 EVERY = 1 if "TEST_ALL" in os.environ else 2
 """Of like cases and seeds, which one is tried."""
-A, H, GAUGE, AIR, CHAMBER = 0.045, 0.020, 2500.0, 101_325.0, 3e-4
-TENSION = GAUGE * (A**2 + H**2) / (4 * H)
 BALL = 0.015  # of the preset
 NOISE_M = 1e-4
 CAMERA = DepthCamera.of(
@@ -48,12 +46,8 @@ CAMERA = DepthCamera.of(
 )
 
 
-def gas_of(mesh):
-    return Gas(AIR + GAUGE, CHAMBER + mesh.cap_volume(), mesh.areas, -GAUGE, AIR)
-
-
 def estimator(nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0.065, **changed):
-    mesh = mesh_cap(spherical_cap(A, H), nodes)
+    mesh = mesh_cap(CAP, nodes)
     membrane = RubberMembrane.uniform(
         mesh, GAUGE, changed.get("tension", TENSION), prestretch, slack
     )
@@ -78,11 +72,9 @@ def oracle(depth, ball):
 @cache
 def pressed(name, depth, x=0.008, prestretch=1.2, nodes=1500):
     """A press by the forward model on another, finer mesh."""
-    mesh = mesh_cap(spherical_cap(A, H), nodes)
+    mesh = mesh_cap(CAP, nodes)
     model = RubberForward(RubberMembrane.uniform(mesh, GAUGE, TENSION, prestretch), gas_of(mesh))
-    T = np.eye(4)
-    T[:3, 3] = x, 0.002, H - depth
-    contact = model.press(load_object(name), T)
+    contact = model.press(load_object(name), pose(x, 0.002, H - depth))
     assert contact.converged
     return mesh, contact
 
@@ -180,14 +172,13 @@ def test_measured_gas_pressure(depth, off_pa):
 
 def test_sharp_edged_rod_off_the_axis():
     """The ground truth resolves the edge, on which nodes of a uniform mesh catch as by friction."""
-    T = np.eye(4)
-    T[:3, 3] = 0.012, 0.006, H - 0.004
-    start = mesh_cap(spherical_cap(A, H), 1000)
+    there = pose(0.012, 0.006, H - 0.004)
+    start = mesh_cap(CAP, 1000)
 
     def rubber(mesh):
         return RubberMembrane.uniform(mesh, GAUGE, TENSION, 1.05)
 
-    mesh, contact = refined_press(rubber, gas_of, start, load_object("cylinder"), T)
+    mesh, contact = refined_press(rubber, gas_of, start, load_object("cylinder"), there)
     assert contact.converged
     force = contact.nodal_force_n.sum(axis=0)
     askew = np.degrees(np.arctan2(force[1], force[0]) - np.arctan2(-0.006, -0.012))
@@ -292,13 +283,9 @@ def test_small_press_on_a_flat_membrane_is_the_linear_model():
     gauge, height = 100.0, 0.04 * A
     mesh = mesh_cap(spherical_cap(A, height), 400)
     tension = gauge * (A**2 + height**2) / (4 * height)
-    gas = Gas(AIR + gauge, CHAMBER + mesh.cap_volume(), mesh.areas, -gauge, AIR)
-    fine = mesh_cap(spherical_cap(A, height), 1500)
-    T = np.eye(4)
-    T[:3, 3] = 0.006, 0.0, height - 6e-4
-    forward = ForwardModel(
-        fine, tension, Gas(AIR + gauge, CHAMBER + fine.cap_volume(), fine.areas)
-    ).press(load_object("cylinder"), T)
+    gas, fine = gas_of(mesh, gauge), mesh_cap(spherical_cap(A, height), 1500)
+    model = ForwardModel(fine, tension, gas_of(fine, gauge))
+    forward = model.press(load_object("cylinder"), pose(0.006, 0.0, height - 6e-4))
     image = depth_image_of(fine, forward.displacement_m)
     observer = RangeObserver(CAMERA, mesh, 2e-5, block=3)
     linear, _ = Estimator(observer, ConstantTension(mesh, tension, gas)).estimate(image)

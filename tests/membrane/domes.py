@@ -12,7 +12,7 @@ CAP = spherical_cap(A, H)
 
 
 def gas_of(mesh, gauge=GAUGE):
-    return Gas(AIR + gauge, CHAMBER + mesh.cap_volume(), mesh.areas)
+    return Gas(AIR + gauge, CHAMBER + mesh.cap_volume(), mesh.areas, -gauge, AIR)
 
 
 def dome(nodes, prestretch=1.2, slack=None):

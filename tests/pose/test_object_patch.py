@@ -12,15 +12,14 @@ from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
+from tests.membrane.domes import pose
 from tests.small_press import changed
 
 RADIUS_M = 0.012  # of the cylinder's flat face
 
 
-def upright(x=0.003, y=-0.002, z=0.042):
-    T = np.eye(4)
-    T[:3, 3] = [x, y, z]
-    return T
+def upright(x=0.003, z=0.042):
+    return pose(x, -0.002, z)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Result
 from bubbleviz.sensor import load_sensor
+from tests.membrane.domes import pose as upright
 from tests.program import output_of, refusal, run
 
 PRESET = "pico_flexx_75mm"
@@ -136,8 +137,7 @@ def test_unit_of_the_mesh_file_option(folder, tmp_path):
 
 def test_covariance_of_a_line_is_that_of_poses_scattered_about_the_patch():
     rng, center = np.random.default_rng(0), np.array([0.01, 0.0, 0.05])
-    T = np.eye(4)
-    T[:3, 3] = [0.02, -0.01, 0.08]
+    T = upright(0.02, -0.01, 0.08)
     root = 1e-4 * rng.normal(size=(6, 6)) * [[1], [1], [1], [30], [30], [30]]
     pose = Pose("ok", T, center_m=center, covariance=root @ root.T)
     frame = Frame(7, 0.25, np.zeros((2, 2), np.float32))
@@ -152,8 +152,7 @@ def test_covariance_of_a_line_is_that_of_poses_scattered_about_the_patch():
 
 
 def test_tum_has_the_good_poses_only(tmp_path):
-    T = np.eye(4)
-    T[:3, 3] = [0.01, 0.02, 0.03]
+    T = upright(0.01, 0.02, 0.03)
     frame = Frame(7, 0.25, np.zeros((2, 2), np.float32))
     rows = [
         pose_row(Result(frame, pose=Pose(status, T), times_ms={"total": 5.0}))

@@ -23,6 +23,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import SyntheticSource, study_object
+from tests.membrane.domes import pose as upright
 from tests.small_press import changed
 
 PRECISE = PressOptions(converged_m=1e-6, max_steps=60)
@@ -40,10 +41,7 @@ def rubber(pipeline):
 
 
 def pose(x=0.003, z=0.040, turn=0.0):
-    T = np.eye(4)
-    T[:2, :2] = [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
-    T[:3, 3] = [x, -0.004, z]
-    return T
+    return upright(x, -0.004, z, turn)
 
 
 @pytest.fixture(scope="module")

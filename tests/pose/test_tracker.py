@@ -15,6 +15,7 @@ from bubbleviz.pose import looking_different, motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object, touching_height
+from tests.membrane.domes import pose as upright
 from tests.small_press import changed
 
 PRODUCTS = frozenset({"pose"})
@@ -23,10 +24,7 @@ FRAMES = 6
 
 def path():
     """The toy, pressed and then tilted and moved a little from frame to frame."""
-    T = np.eye(4)
-    T[:3, 3] = [0.003, 0.002, 0.038]
-    step = np.array([3e-4, 0.0, -2e-4, 0.008, 0.0, 0.01])
-    poses = [T]
+    step, poses = np.array([3e-4, 0.0, -2e-4, 0.008, 0.0, 0.01]), [upright(0.003, 0.002, 0.038)]
     for _ in range(FRAMES - 1):
         poses.append(moved(poses[-1], step, poses[-1][:3, 3]))
     return np.array(poses)
@@ -83,8 +81,7 @@ def test_tracking_loss_and_recovery(pipeline, source):
 
 @pytest.mark.long
 def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
-    here, far = np.eye(4), np.eye(4)
-    here[:3, 3], far[:3, 3] = [0.018, 0.0, 0.036], [-0.018, 0.0, 0.036]
+    here, far = upright(0.018, 0.0, 0.036), upright(-0.018, 0.0, 0.036)
     path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
     jumping = SyntheticSource(
         sensor, study_object("frustum"), path, DepthNoise(relative=0.005), nodes=4_000
@@ -186,9 +183,7 @@ def test_turn_of_a_resting_ball_stays_unknown(pipeline, sensor, turn):
 
 
 def test_status_without_contact_or_data(pipeline, source, sensor):
-    far = np.eye(4)
-    far[2, 3] = 1.0
-    untouched = SyntheticSource(sensor, source.obj, far[None], nodes=4_000)[0]
+    untouched = SyntheticSource(sensor, source.obj, [upright(z=1.0)], nodes=4_000)[0]
     pipeline.track(source.obj)
     pose = pipeline.process(untouched, PRODUCTS).pose
     assert pose.status == "no_contact"
@@ -242,8 +237,7 @@ def test_without_requests_nothing_runs(pipeline, source):
 
 def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):
     """A camera that shows changes of range too large on one side and too small on the other."""
-    truth = np.eye(4)
-    truth[:3, 3] = [0.003, -0.004, 0.038]
+    truth = upright(0.003, -0.004, 0.038)
     source = SyntheticSource(sensor, study_object("cross"), truth[None])
     true, camera = source[0], source.camera
     mesh = build_mesh(sensor)

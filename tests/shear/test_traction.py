@@ -14,8 +14,7 @@ from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.shear import watch_recorded_texture
 from bubbleviz.simulation import DepthNoise
-from tests.oracles.stuck_press import Motion
-from tests.shear.drag import Eyes, press, sensor, stuck
+from tests.shear.drag import Eyes, sensor, stuck
 
 CASES = [
     ("puck", 0.004, 0.001, 8.0),
@@ -44,17 +43,6 @@ def test_traction_of_an_object_that_is_dragged_and_twisted(name, depth, drag, tw
         assert torque[2] == pytest.approx(truth.torque_nm(about)[2], rel=0.05)
     assert along_error_m(estimate, truth, eyes.pipeline.mesh) < 5e-5
     assert np.linalg.norm(patch.center_of_pressure_m - truth.center_m) < 1e-3
-
-
-@pytest.mark.long
-def test_a_long_drag_is_followed():
-    path, eyes = press("puck", 0.004)[0], Eyes(1000)
-    drags = [Motion(np.array([1.0, 0.4, 0.0]) * k * 5e-4) for k in range(9)]
-    for truth in path.along(drags):
-        estimate, traction = eyes.solve(eyes.see(truth))
-        assert traction.status == "ok", traction.reason
-        error = np.linalg.norm(estimate.force_n - truth.force_n)
-        assert error < 0.03 * np.linalg.norm(truth.force_n)
 
 
 def test_a_press_without_friction_has_no_shear():
