@@ -181,12 +181,6 @@ def test_other_invalid_arguments(frames, estimator):
         estimator.update(frames[0].depth_m, colour=np.zeros(SHAPE))
     with pytest.raises(bv.InputError, match="a Frame already contains gas pressure"):
         estimator.update(frames[0], gas_pressure_pa=103_900.0)
-    with pytest.raises(
-        bv.InputError, match="needs a recording to choose the sensor by; give Estimator"
-    ):
-        bv.Estimator("auto")
-    with pytest.raises(bv.InputError, match="no such solver"):
-        bv.Estimator("pico_flexx_75mm", solver="magic")
 
 
 def test_path_in_place_of_a_recording(sensor, press, tmp_path):

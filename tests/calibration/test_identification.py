@@ -46,7 +46,7 @@ def test_surface_predicts_held_out_frames(twin, found):
     size = np.abs(residual)
     assert np.nanmedian(size) < 0.1e-3  # not the rms: 2 % of single returns are 10 mm off
     assert np.nanpercentile(size, 95) < 0.25e-3
-    assert np.nanmedian(np.abs(residual - bias)) < np.nanmedian(size)
+    assert np.nanmedian(np.abs(residual - bias)) < 0.78 * np.nanmedian(size)  # 0.72
     assert np.abs(np.nanmedian(residual - bias, axis=1)).max() < 2e-5
 
 

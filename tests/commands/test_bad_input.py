@@ -21,7 +21,6 @@ SIZE = (32, 24)
 """Width and height of the sensor's camera and of the bags' images."""
 
 COMMANDS = {
-    "info": ("info", "REC"),
     "estimate": ("estimate", "REC", "--sensor", "SENSOR", "--out", "OUT", "--csv", "CSV"),
     "screenshot": ("open", "REC", "--sensor", "SENSOR", "--screenshot", "PNG"),
 }
@@ -96,19 +95,8 @@ GOOD = [depth_image(k) for k in range(3)]
 
 
 @pytest.fixture(params=list(COMMANDS))
-def command(request):
-    return str(request.param)
-
-
-@pytest.fixture(params=[name for name in COMMANDS if name != "info"])
 def solving(request):
-    """Commands that need a sensor, too."""
     return str(request.param)
-
-
-def test_missing_file(bench, command):
-    bench.recording = bench.folder / "nope.mcap"
-    bench.refused(command, "nope.mcap", "no such recording")
 
 
 @pytest.mark.parametrize("info", [{}, {"info_size": (20, 10)}])
@@ -263,12 +251,6 @@ def test_camera_that_looks_away(bench):
     record(bench, GOOD)
     bench.sensor.write_text(toml(replace={"-0.104": "0.104"}))
     bench.refused("estimate", "sensor.toml", "no pixel in use sees the membrane")
-
-
-def test_missing_sensor_file(bench, solving):
-    record(bench, GOOD)
-    bench.sensor = bench.folder / "nope.toml"
-    bench.refused(solving, "nope.toml", "no such sensor file", "pico_flexx_75mm")
 
 
 @pytest.fixture(params=[b"", b"ply\nformat ascii 1.0\nelement vertex 9\n", None])

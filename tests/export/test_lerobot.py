@@ -94,14 +94,3 @@ def test_slip_is_there_where_shear_was_asked_for_and_only_there(dataset, tmp_pat
 
 def described(dataset):
     return json.loads((dataset / "meta/info.json").read_text())["features"]
-
-
-def test_rerun_reads_the_dataset(dataset, estimated):
-    pytest.importorskip("rerun", reason="a viewer of others, not a dependency")
-    from rerun.experimental import LeRobotReader
-
-    reader = LeRobotReader(str(dataset))
-    (episode,) = reader.episodes()
-    columns = reader.stream(episode).collect().schema().component_columns()
-    paths = {column.entity_path for column in columns}
-    assert {"/observation.wrench", "/observation.force_sigma_n"} <= paths

@@ -85,10 +85,9 @@ def test_prior_of_friction_is_as_wide_as_the_frame_says():
     assert np.square(errors).sum() < 0.6 * np.square(wide_errors).sum()
 
 
-@pytest.mark.parametrize("name", ["sphere", pytest.param("puck", marks=pytest.mark.long)])
-def test_noise_is_not_taken_for_friction(name):
+def test_noise_is_not_taken_for_friction():
     """Presses without friction at 1 % of noise; the ground truth is on a separate mesh."""
-    truth, eyes = press(name, 0.004)[0].moved(Motion(np.zeros(3))), Eyes()
+    truth, eyes = press("sphere", 0.004)[0].moved(Motion(np.zeros(3))), Eyes()
     errors = []
     for seed in range(6):
         seen = sighting(eyes.pipeline.camera, truth, DepthNoise(relative=0.01), FLOW_PX, seed)
@@ -129,15 +128,7 @@ def test_more_friction_than_expected_gives_a_warning():
     assert bv.estimate(frames, sensor(), zero_gas=False).warning is None
 
 
-@pytest.mark.parametrize(
-    ("name", "noise_m"),
-    [
-        ("ball_drag1", 5e-5),
-        ("puck_twist", 1.5e-4),
-        pytest.param("ball_drag1", 1.5e-4, marks=pytest.mark.long),
-        pytest.param("puck_twist", 5e-5, marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.parametrize(("name", "noise_m"), [("ball_drag1", 5e-5), ("puck_twist", 1.5e-4)])
 def test_friction_on_rubber_by_another_solver(name, noise_m, identified, tmp_path):
     """Dragged or twisted."""
     truth = rubber_truth(name)
