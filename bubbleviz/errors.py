@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from math import inf, nan
-from numbers import Real
+from numbers import Integral, Real
 from os import PathLike
 from pathlib import Path
 
@@ -57,12 +57,15 @@ def given_path(argument: str, value: object) -> Path:
     return Path(value)  # type: ignore[arg-type]
 
 
-def check_number(option: str, value: object, lowest: float, highest: float = inf) -> None:
-    """Refuse what is not a finite number from `lowest` to `highest`. Raises InputError."""
-    number = float(value) if isinstance(value, Real) else nan
+def check_number(
+    option: str, value: object, lowest: float, highest: float = inf, *, whole: bool = False
+) -> None:
+    """Refuse what is not a finite or whole number from `lowest` to `highest`. Raises InputError."""
+    number = float(value) if isinstance(value, Integral if whole else Real) else nan
     if not lowest <= number <= highest or number == inf:
         limits = f"from {lowest:g} to {highest:g}" if highest < inf else f"of {lowest:g} or more"
-        raise InputError(f"{option} {value}: give a finite number {limits}")
+        kind = "whole" if whole else "finite"
+        raise InputError(f"{option} {value}: give a {kind} number {limits}")
 
 
 def check_seconds(option: str, seconds: float | None) -> None:

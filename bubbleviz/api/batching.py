@@ -213,7 +213,7 @@ def batch(
         recordings are in their rows.
     """
     if jobs is not None:
-        check_number("--jobs", jobs, 1)
+        check_number("--jobs", jobs, 1, whole=True)
     if jobs is not None and scheduler is not None:
         raise InputError("--jobs counts processes on this machine; leave it out with --scheduler")
     found, out = find_recordings(folder), Path(out)

@@ -233,6 +233,7 @@ def identify(
     """
     levels = (levels,) if isinstance(levels, str | Path | Frames) else tuple(levels)
     check_choice("--surface", surface, (None, *SURFACE_NAMES))
+    check_number("--nodes", nodes, 30, 20_000, whole=True)
     if level_sigma is not None:
         check_number("--level-sigma", level_sigma, 0.0)
     if out is not None:  # fail before the computation

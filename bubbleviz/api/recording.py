@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from bubbleviz.api.summary import Summary
-from bubbleviz.errors import InputError, check_seconds
+from bubbleviz.errors import InputError, check_number, check_seconds
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, refuse_input, restore_on_error
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
@@ -229,8 +229,7 @@ def publish(
         such domain; or `wait` is given and the topics of the source are unknown before it starts.
     """
     check_seconds("--duration", duration_s)
-    if type(domain) is not int or not 0 <= domain <= 232:
-        raise InputError(f"--domain {domain}: give a whole number from 0 to 232")
+    check_number("--domain", domain, 0, 232, whole=True)
     sent: Counter[str] = Counter()
     live = open_stream(source, _simulated(sensor), any_size=True).source
     live.follow_colour()

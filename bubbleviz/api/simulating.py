@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import fields
-from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, Self, get_args, overload
 
@@ -166,10 +165,8 @@ def simulate(
     >>> press.truth(0).force_n
     array([...])
     """
-    if not isinstance(frames, Integral) or frames < 1:
-        raise InputError(f"--frames {frames}: give a whole number of 1 or more")
-    if not isinstance(seed, Integral) or seed < 0:
-        raise InputError(f"--seed {seed}: give a whole number of 0 or more")
+    check_number("--frames", frames, 1, whole=True)
+    check_number("--seed", seed, 0, whole=True)
     check_number("--rate", rate_hz, 0.01, 1e4)
     check_choice("--model", model, (None, *get_args(Model)))
     noise = DepthNoise(
