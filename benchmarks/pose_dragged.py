@@ -22,6 +22,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh, ObjectSurface
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import PoseTracker, motion_between, precision_of
+from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import load_sensor
 from bubbleviz.study.harness import (
@@ -128,7 +129,7 @@ class _Bench:
         """Of the identified sensor."""
         truth, camera = renders.rubber_truth(self._grid.names[0]), self._camera
 
-        def still(name: str, shape: np.ndarray, gauge_pa: float, frames: int) -> renders.Renders:
+        def still(name: str, shape: np.ndarray, gauge_pa: float, frames: int) -> HeldFrames:
             shapes, triangles = renders.at_rest(shape, frames), truth["triangles"]
             return renders.render(name, camera, shapes, triangles, gauge_pa, noise_m=_CALIBRATION_M)
 

@@ -3,7 +3,6 @@
 The positions are those of `../shared/data/rubber_truth`, or any other (F, n, 3) over one mesh.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ import pytest
 
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "rubber_truth"
@@ -63,51 +62,6 @@ def dome_sensor(
     )
 
 
-@dataclass
-class Renders:
-    """Source of frames, one of each shape, with white noise of its own in each.
-
-    Attributes
-    ----------
-    name : str
-    camera : DepthCamera
-    range_m : (F, H, W) array
-        Without noise; NaN where a ray misses.
-    gas_pressure_pa : (F,) array or None
-        Absolute, as recorded.
-    noise_m : float
-        σ of depth, m.
-    seed : int
-    """
-
-    name: str
-    camera: DepthCamera
-    range_m: np.ndarray
-    gas_pressure_pa: np.ndarray | None
-    noise_m: float
-    seed: int
-
-    @property
-    def times_s(self) -> np.ndarray:
-        """Of frames at 30 Hz."""
-        return np.arange(len(self)) / 30.0
-
-    def __len__(self) -> int:
-        return len(self.range_m)
-
-    def __getitem__(self, index: int) -> Frame:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        depth = self.camera.depth_image(self.range_m[index])
-        noise = np.random.default_rng([self.seed, index]).standard_normal(depth.shape)
-        gas = None if self.gas_pressure_pa is None else float(self.gas_pressure_pa[index])
-        image = (depth + self.noise_m * noise).astype(np.float32)
-        return Frame(index, float(self.times_s[index]), image, self.camera.intrinsics, gas)
-
-    def close(self) -> None:
-        pass
-
-
 def render(
     name: str,
     camera: Camera,
@@ -119,24 +73,28 @@ def render(
     gas_noise_pa: float = GAS_NOISE_PA,
     atmosphere_pa: float = ATMOSPHERE_PA,
     seed: int = 0,
-) -> Renders:
-    """Frames of shapes (F, n, 3); for F frames of one shape give `np.repeat(shape[None], F, 0)`.
+) -> HeldFrames:
+    """Frames of shapes (F, n, 3) at 30 Hz, with white noise of its own in each.
 
     `gauge_pa` of each frame, (F,), or of all; None where no gas pressure is recorded.
     """
-    depth_camera, gas = DepthCamera.of(camera), None
+    lens, frames = DepthCamera.of(camera), []
     images: dict[bytes, np.ndarray] = {}  # frames of one shape are cast once
-    ranges = []
-    for nodes in nodes_m:
+    gas_pa: list[float | None] = [None] * len(nodes_m)
+    if gauge_pa is not None:
+        shaken = np.random.default_rng([seed, 1 << 20]).standard_normal(len(nodes_m))
+        gauge_pa = np.broadcast_to(gauge_pa, len(nodes_m))
+        gas_pa = (atmosphere_pa + gauge_pa + gas_noise_pa * shaken).tolist()
+    for k, (nodes, gas) in enumerate(zip(nodes_m, gas_pa, strict=True)):
         key = nodes.tobytes()
         if key not in images:
             mesh = MembraneMesh(nodes, triangles, np.zeros(len(nodes), bool))
-            images[key] = MembraneView(depth_camera, mesh).range_image(np.zeros(len(nodes)))
-        ranges.append(images[key])
-    if gauge_pa is not None:
-        shaken = np.random.default_rng([seed, 1 << 20]).standard_normal(len(ranges))
-        gas = atmosphere_pa + np.broadcast_to(gauge_pa, len(ranges)) + gas_noise_pa * shaken
-    return Renders(name, depth_camera, np.stack(ranges), gas, noise_m, seed)
+            ranges = MembraneView(lens, mesh).range_image(np.zeros(len(nodes)))
+            images[key] = lens.depth_image(ranges)
+        noise = np.random.default_rng([seed, k]).standard_normal(images[key].shape)
+        depth = (images[key] + noise_m * noise).astype(np.float32)
+        frames.append(Frame(k, k / 30.0, depth, lens.intrinsics, gas))
+    return HeldFrames(frames, name)
 
 
 def at_rest(shape_m: np.ndarray, frames: int = 30) -> np.ndarray:

@@ -6,47 +6,37 @@ from scipy.stats import trim_mean
 
 from bubbleviz.calibration import collect, collect_press
 from bubbleviz.errors import InputError
-from bubbleviz.recordings import LAG, Frame, find_contact_free, tile_depths
+from bubbleviz.recordings import LAG, Frame, HeldFrames, find_contact_free, tile_depths
 
 from .twin import FREE, make_twin, nominal_sensor
 
 FRAMES = 80
 
 
-class Plane:
+def plane(depth_from=FRAMES, pressure_from=FRAMES, gas=True, blip=None):
     """A plane 0.1 m away with 0.5 mm of noise; a corner of it and the gas pressure move."""
-
-    name = "plane"
-
-    def __init__(self, depth_from=FRAMES, pressure_from=FRAMES, gas=True, blip=None):
-        rng = np.random.default_rng(0)
-        self.depth = 0.1 + 5e-4 * rng.standard_normal((FRAMES, 48, 64))
-        self.depth[depth_from:, :16, :16] -= 3e-3
-        self.gas = 1e5 + 4.0 * rng.standard_normal(FRAMES) if gas else [None] * FRAMES
-        if gas:
-            self.gas[pressure_from:] += 100.0
-        if blip is not None:
-            self.depth[blip : blip + 2, :16, :16] -= 3e-3
-        self.times_s = np.arange(FRAMES) / 30.0
-
-    def __len__(self):
-        return FRAMES
-
-    def __getitem__(self, k):
-        return Frame(k, self.times_s[k], self.depth[k], gas_pressure_pa=self.gas[k])
+    rng = np.random.default_rng(0)
+    depth = 0.1 + 5e-4 * rng.standard_normal((FRAMES, 48, 64))
+    depth[depth_from:, :16, :16] -= 3e-3
+    gas_pa = 1e5 + 4.0 * rng.standard_normal(FRAMES) if gas else [None] * FRAMES
+    if gas:
+        gas_pa[pressure_from:] += 100.0
+    if blip is not None:
+        depth[blip : blip + 2, :16, :16] -= 3e-3
+    return HeldFrames([Frame(k, k / 30.0, depth[k], None, gas_pa[k]) for k in range(FRAMES)])
 
 
 @pytest.mark.parametrize(
     ("source", "end", "ended_by"),
     [
-        (Plane(), FRAMES, "recording"),
-        (Plane(depth_from=40), 40, "depth"),
-        (Plane(pressure_from=30), 30, "pressure"),
-        (Plane(depth_from=40, pressure_from=30), 30, "pressure"),
-        (Plane(depth_from=30, pressure_from=40), 30, "depth"),
-        (Plane(depth_from=30, gas=False), 30, "depth"),
-        (Plane(depth_from=50, blip=20), 50, "depth"),  # a glitch is no contact
-        (Plane(depth_from=6), 6, "depth"),
+        (plane(), FRAMES, "recording"),
+        (plane(depth_from=40), 40, "depth"),
+        (plane(pressure_from=30), 30, "pressure"),
+        (plane(depth_from=40, pressure_from=30), 30, "pressure"),
+        (plane(depth_from=30, pressure_from=40), 30, "depth"),
+        (plane(depth_from=30, gas=False), 30, "depth"),
+        (plane(depth_from=50, blip=20), 50, "depth"),  # a glitch is no contact
+        (plane(depth_from=6), 6, "depth"),
     ],
 )
 def test_contact_free_range_ends_at_the_first_change(source, end, ended_by):
@@ -54,13 +44,13 @@ def test_contact_free_range_ends_at_the_first_change(source, end, ended_by):
     assert found.frames.start == 0
     assert end - 1 <= found.frames.stop <= end  # a frame that noise makes the beginning of it
     assert found.ended_by == ended_by
-    assert (found.pressure_score is None) is (source.gas[0] is None)
+    assert (found.pressure_score is None) is (source[0].gas_pressure_pa is None)
     assert found.depth_score[:5].max() < 6.0
 
 
 def test_a_recording_that_begins_with_a_contact_is_refused():
     with pytest.raises(InputError, match="already changes at frame 4"):
-        find_contact_free(Plane(pressure_from=4))
+        find_contact_free(plane(pressure_from=4))
 
 
 def test_the_depth_of_a_tile_is_the_mean_of_its_middle_half():

@@ -12,7 +12,7 @@ from small_press import record
 from bubbleviz.calibration import Quantity, collect, open_chamber, with_rubber
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, RubberMembrane, inverse_metric, prestressed
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.simulation import ATMOSPHERE_PA, DepthNoise, InflatedRubber
 from tests.oracles.axial_mesh import swept_mesh
@@ -90,19 +90,11 @@ def test_command_finds_rubber_and_gauge_pressure(tmp_path):
     assert "inflation levels: low.mcap, high.mcap; the recorded gas pressure minus" in report
 
 
-class Chamber:
+def chamber(pressures):
     """Frames of the open chamber, as far as they matter."""
-
-    name = "vented"
-
-    def __init__(self, pressures):
-        self.pressures = pressures
-
-    def __len__(self):
-        return len(self.pressures)
-
-    def __getitem__(self, k):
-        return Frame(k, k / 30.0, np.full((2, 2), np.nan, np.float32), None, self.pressures[k])
+    dark = np.full((2, 2), np.nan, np.float32)
+    frames = [Frame(k, k / 30.0, dark, None, each) for k, each in enumerate(pressures)]
+    return HeldFrames(frames, "vented")
 
 
 OFFSET = 400.0
@@ -112,7 +104,7 @@ OFFSET = 400.0
 @pytest.fixture(scope="module")
 def vented():
     shown = ATMOSPHERE_PA + OFFSET + np.random.default_rng(0).normal(0.0, 5.0, 60)
-    return open_chamber(Chamber(list(shown)))
+    return open_chamber(chamber(list(shown)))
 
 
 @pytest.fixture(scope="module")
@@ -309,7 +301,7 @@ def test_interval_of_the_open_chamber_holds_its_pressure(readings, correlation, 
     """In few readings, too, and where a filter of the sensor makes neighbours alike."""
     white = np.random.default_rng(1).normal(0.0, 5.0, (1000, readings + 50))
     shown = lfilter([1.0], [1.0, -correlation], white)[:, 50:]
-    found = [open_chamber(Chamber(list(ATMOSPHERE_PA + each))) for each in shown]
+    found = [open_chamber(chamber(list(ATMOSPHERE_PA + each))) for each in shown]
     assert least < np.mean([each.low < ATMOSPHERE_PA < each.high for each in found]) < 0.98
 
 
@@ -327,7 +319,7 @@ def test_levels_that_do_not_determine_the_prestretch(found):
 def test_open_chamber_of_a_sensor_without_noise(found):
     """A coarse pressure sensor shows one value in all frames; the sensor file stays valid."""
     still = replace(found.samples, gas_pressure_pa=np.full(FRAMES, ATMOSPHERE_PA + G))
-    known = opened(replace(found, samples=still), open_chamber(Chamber([ATMOSPHERE_PA] * 10)))
+    known = opened(replace(found, samples=still), open_chamber(chamber([ATMOSPHERE_PA] * 10)))
     assert known.sensor.pneumatics.gauge_sigma_pa == 0.1
     assert known.sensor.pneumatics.gauge_pressure_pa == G
 
@@ -336,4 +328,4 @@ def test_open_chamber_needs_gas_pressures(found, vented):
     with pytest.raises(InputError, match="leave out the open chamber"):
         opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
     with pytest.raises(InputError, match="chamber open"):
-        open_chamber(Chamber([None] * 30))
+        open_chamber(chamber([None] * 30))

@@ -14,7 +14,7 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.zeros import zeros_of
 from tests.membrane.domes import pose
-from tests.rubber_renders import Renders, camera_of, dome_sensor, render
+from tests.rubber_renders import camera_of, dome_sensor, render
 from tests.small_press import changed
 
 SHIFTED = pytest.mark.parametrize("shift_pa", [3000.0, -1000.0])
@@ -39,7 +39,7 @@ def twin():
     shapes = np.stack([model.mesh.nodes, model.mesh.nodes + press.displacement_3d_m])
     gauge = sensor.pneumatics.gauge_pressure_pa + np.array([0.0, press.gas_pressure_change_pa])
     times = np.repeat([0, 1], [REST, HELD])
-    frames: Renders = render(
+    frames = render(
         "press", sensor.camera, shapes[times], model.mesh.triangles, gauge[times],
         atmosphere_pa=AIR_PA,
     )  # fmt: skip

@@ -30,21 +30,14 @@ NODES = 200
 LONG = "TEST_ALL" in os.environ
 
 
-class Counted:
-    """A dome whose reads are counted."""
+class Counted(HeldFrames):
+    """A source whose reads are counted."""
 
-    def __init__(self, dome):
-        self.dome, self.name, self.times_s, self.reads = dome, dome.name, dome.times_s, 0
+    reads = 0
 
-    def __len__(self):
-        return len(self.dome)
-
-    def __getitem__(self, k):
+    def __getitem__(self, index):
         self.reads += 1
-        return self.dome[k]
-
-    def close(self):
-        pass
+        return super().__getitem__(index)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +52,7 @@ def found(dome):
 
 @pytest.fixture
 def bench(dome):
-    return Workbench(Counted(dome), dome.sensor)
+    return Workbench(Counted(list(dome)), dome.sensor)
 
 
 def full(**more):
@@ -171,7 +164,7 @@ def test_another_height_appears_in_table_and_image(found):
 
 
 def test_collected_frames_are_saved_with_a_report(dome, tmp_path):
-    frames = HeldFrames([dome[k] for k in range(12)], "live")
+    frames = HeldFrames(list(dome)[:12], "live")
     found = identify(frames, dome.sensor, range(12), nodes=NODES)
     write_sensor(found, tmp_path / "new.toml", tmp_path / "report", source=frames)
     origin = json.loads((tmp_path / "report" / "report.json").read_text())["origin"]

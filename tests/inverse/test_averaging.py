@@ -12,7 +12,7 @@ from bubbleviz.camera import DepthCamera
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Frame
+from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, touching_height
 from tests.small_press import changed
@@ -21,25 +21,13 @@ PRODUCTS = frozenset({"estimate", "patch"})
 WHITE, CORRELATED = DepthNoise(relative=0.01), DepthNoise(relative=0.01, correlation_px=3.0)
 
 
-class Recorded:
-    """A source of frames by index; those among `damaged` cannot be read."""
-
-    name = "recorded"
-
-    def __init__(self, frames, damaged=()):
-        self._frames, self._damaged = frames, damaged
-        self.times_s = np.array([frame.time_s for frame in frames])
-
-    def __len__(self):
-        return len(self._frames)
+class Damaged(HeldFrames):
+    """A source of which frame 8 cannot be read."""
 
     def __getitem__(self, index):
-        if index in self._damaged:
-            raise InputError(f"frame {index} is damaged; record it again")
-        return self._frames[index]
-
-    def close(self):
-        pass
+        if index == 8:
+            raise InputError("frame 8 is damaged; record it again")
+        return super().__getitem__(index)
 
 
 @cache
@@ -107,7 +95,7 @@ def pushes(frames):
 
 @pytest.mark.parametrize("noise", [WHITE, CORRELATED])
 def test_an_object_at_rest_is_averaged_over_five_frames_on_either_side(noise):
-    found = np.array(images(averaged(Recorded(noisy((6.0,) * 23, noise)))))
+    found = np.array(images(averaged(HeldFrames(noisy((6.0,) * 23, noise)))))
     most = np.minimum(np.arange(23), 5) + np.minimum(np.arange(23)[::-1], 5) + 1
     assert (found <= most).all()
     assert np.mean(found == most) > 0.7  # nine of ten; fewer by chance
@@ -116,7 +104,7 @@ def test_an_object_at_rest_is_averaged_over_five_frames_on_either_side(noise):
 def test_the_force_of_an_object_at_rest_scatters_less():
     frames, force_n = noisy((6.0,) * 19), between(presses()[1], 6.0)
     inner = slice(5, -5)
-    alone, mean = pushes(frames[inner]), pushes(averaged(Recorded(frames))[inner])
+    alone, mean = pushes(frames[inner]), pushes(averaged(HeldFrames(frames))[inner])
     assert np.std(mean) < 0.6 * np.std(alone)
     assert np.abs(mean - force_n).mean() < np.abs(alone - force_n).mean()
 
@@ -135,7 +123,7 @@ def test_a_stream_that_begins_anew_is_not_averaged_with_itself():
     assert images(found)[-2:] == [1, 1]
 
 
-@pytest.mark.parametrize("of", [lambda frames: averaged(Recorded(frames)), streamed])
+@pytest.mark.parametrize("of", [lambda frames: averaged(HeldFrames(frames)), streamed])
 def test_a_motion_too_slow_to_be_seen_shifts_no_force(of):
     """A press of 0.02 mm a frame, seen in images of both sides, or of one as at the end."""
     depths = 6.0 + 0.02 * np.arange(14)
@@ -151,7 +139,7 @@ def test_a_motion_too_slow_to_be_seen_shifts_no_force(of):
 @pytest.mark.parametrize("speed_mm", [0.6, -0.6])
 def test_an_object_that_moves_is_not_averaged(speed_mm):
     depths = 6.0 + speed_mm * np.arange(-3, 4)
-    assert images(averaged(Recorded(noisy(depths)))) == [1] * 7
+    assert images(averaged(HeldFrames(noisy(depths)))) == [1] * 7
 
 
 def test_false_returns_do_not_hide_that_an_object_moves():
@@ -160,12 +148,12 @@ def test_false_returns_do_not_hide_that_an_object_moves():
     for frame in frames:
         false = random.random(frame.depth_m.shape) < 0.01
         frame.depth_m[false] = random.uniform(0.02, 0.3, np.count_nonzero(false))
-    assert images(averaged(Recorded(frames))) == [1] * 7
+    assert images(averaged(HeldFrames(frames))) == [1] * 7
 
 
 def test_contact_that_begins_ends_the_mean():
     depths = (6.0,) * 8 + (7.0,) * 8
-    frames, moved = averaged(Recorded(noisy(depths))), exact(6.0) - exact(7.0) > 5e-4
+    frames, moved = averaged(HeldFrames(noisy(depths))), exact(6.0) - exact(7.0) > 5e-4
     assert max(images(frames)[:8]) <= 8 and max(images(frames)[8:]) <= 8
     assert min(images(frames)) > 3
     camera = DepthCamera.of(sensor().camera)
@@ -175,16 +163,16 @@ def test_contact_that_begins_ends_the_mean():
 
 
 def test_a_membrane_without_contact_is_not_averaged():
-    assert images(averaged(Recorded(noisy((None,) * 7)))) == [1] * 7
+    assert images(averaged(HeldFrames(noisy((None,) * 7)))) == [1] * 7
 
 
 def test_equal_images_add_nothing():
     still = [replace(frame, index=k) for k, frame in enumerate(noisy((6.0,)) * 9)]
-    assert images(averaged(Recorded(still))) == [1] * 9
+    assert images(averaged(HeldFrames(still))) == [1] * 9
 
 
 def test_a_frame_has_the_same_mean_however_it_was_reached():
-    source = Recorded(noisy((6.0,) * 13))
+    source = HeldFrames(noisy((6.0,) * 13))
     played, sought = averaged(source), averaged(source, [12, 3, 9, 6, 0, 7, 1, 11, 4, 2, 8, 10, 5])
     for one, other in zip(played, sought, strict=True):
         assert one.images == other.images
@@ -195,7 +183,7 @@ def test_a_live_frame_that_is_kept_has_the_mean_it_was_shown_with():
     frames = noisy((6.0,) * 13)
     shown, still = (
         streamed(frames),
-        StillFrames(Pipeline.of(sensor()), Recorded(frames), both_sides=False),
+        StillFrames(Pipeline.of(sensor()), HeldFrames(frames), both_sides=False),
     )
     assert max(images(shown)) > 3
     for k in (7, 12, 3):
@@ -205,7 +193,7 @@ def test_a_live_frame_that_is_kept_has_the_mean_it_was_shown_with():
 
 
 def test_a_damaged_frame_ends_the_mean_of_those_around():
-    found = averaged(Recorded(noisy((6.0,) * 13), damaged={8}), order=range(8))
+    found = averaged(Damaged(noisy((6.0,) * 13)), order=range(8))
     assert 3 < max(images(found)) <= 8
 
 
@@ -218,7 +206,7 @@ def test_outliers_and_missing_returns_stay_out_of_the_mean():
         outliers, missing = np.array_split(pixels, 2)
         frame.depth_m.flat[outliers] += 0.05
         frame.depth_m.flat[missing] = np.nan
-    frame = averaged(Recorded(frames))[6]
+    frame = averaged(HeldFrames(frames))[6]
     assert frame.images > 5
     good = np.abs(frame.depth_m - exact_m) < 0.01  # neither missing here nor an outlier
     assert np.isnan(frame.steady_depth_m[np.isnan(frame.depth_m)]).all()
