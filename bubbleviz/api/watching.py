@@ -212,6 +212,12 @@ def watch(
         The source, the file or the endpoint cannot be opened, or no depth image arrived.
     """
     check_seconds("--duration", duration_s)
+    unused = next((name for name, file in credentials.items() if file is not None), None)
+    if unused is not None and listen is None and connect is None:
+        raise InputError(
+            f"--{unused}: for results that are published; give --listen or --connect, too, or "
+            f"{unused}= in the source"
+        )
     own = with_colour_delay(sensor_of(source, sensor), colour_delay_s)
     obj = None if object is None else load_object(object)
     options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
