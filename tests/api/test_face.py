@@ -119,7 +119,10 @@ POSE = "0 0 0.044 0 0 0 1"
             "1.5: give a whole number from 0 to 232",
         ),
         (lambda f, s: bv.watch("synthetic:", s, duration_s=-1), "--duration -1: give a finite"),
-        (lambda f, s: bv.watch("synthetic:", s, login="x"), "--login: for results that are publ"),
+        (
+            lambda f, s: bv.watch("synthetic:", s, duration_s=0, ca="x"),
+            "--ca: for results that are",
+        ),
         (lambda f, s: bv.connect("synthetic:", s, timeout_s=-1), "timeout_s -1: give a finite"),
     ],
 )
