@@ -147,6 +147,14 @@ class Pneumatics(Section):
             return WEATHER_SIGMA_PA
         return math.hypot(WEATHER_SIGMA_PA, ALTITUDE_SIGMA_PA)
 
+    @property
+    def gauge_deviation_pa(self) -> float:
+        """Standard deviation of the gauge pressure where `identify` weighs it against others.
+
+        If it is not given, the pressure may be the absolute one minus an assumed atmosphere.
+        """
+        return self.gauge_sigma_pa or self.atmospheric_sigma_pa
+
 
 class Lens(Section):
     """Intrinsics of a camera, pixels."""

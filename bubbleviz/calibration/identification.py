@@ -209,10 +209,8 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
                 "not determine the gauge pressure; record it in all of them, or leave out the open "
                 "chamber (--vented)"
             )
-        if file_sigma is None:
-            source = f"{_FILE}, which gives no gauge_sigma_pa"
-            return Quantity.normal(in_file, pneumatics.atmospheric_sigma_pa, source)
-        return Quantity.normal(in_file, file_sigma, _FILE)
+        source = _FILE if file_sigma else f"{_FILE}, which gives no gauge_sigma_pa"
+        return Quantity.normal(in_file, pneumatics.gauge_deviation_pa, source)
     recorded, noise = float(np.mean(gas)), error_of_mean(gas)
     air, source, remedy = vented, "", "give the recording of the open chamber"
     if air is None:
