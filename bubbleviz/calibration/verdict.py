@@ -7,6 +7,7 @@ from typing import Literal
 
 from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
 from bubbleviz.calibration.surface import SURFACE_NAMES, Quantity
+from bubbleviz.result import HALF_95
 from bubbleviz.wording import decimals_of
 
 Grade = Literal["good", "usable", "doubtful"]
@@ -79,9 +80,11 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     out = []
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
-    change = gauge.value / found.given.pneumatics.gauge_pressure_pa - 1.0
+    given = found.given.pneumatics
+    change = gauge.value / given.gauge_pressure_pa - 1.0
+    unexpected = HALF_95 * given.gauge_deviation_pa / given.gauge_pressure_pa
     local = ", or enter the atmospheric pressure of the place in the sensor file"
-    if found.given.pneumatics.atmosphere_is_local:
+    if given.atmosphere_is_local:
         local = ""
     if found.samples.gas_pressure_pa is None:
         out.append(
@@ -101,7 +104,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The gauge pressure is {known_to}, and every force no better: record the open chamber"
             f" for ten seconds (--vented){local}."
         )
-    if candidates is None and abs(change) > _USABLE:
+    if candidates is None and abs(change) > max(_USABLE, unexpected):
         weather = "; after a change of weather or altitude record the open chamber (--vented)"
         known = found.vented is not None
         out.append(

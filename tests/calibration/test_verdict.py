@@ -13,6 +13,7 @@ from bubbleviz.calibration import (
     parameters,
     sentence,
 )
+from bubbleviz.sensor import changed
 from bubbleviz.simulation import DepthNoise, Validation
 
 from .domes import sphere
@@ -46,9 +47,11 @@ def in_frames(found, frames):
     return replace(found, samples=replace(found.samples, statistics=statistics))
 
 
-def gauged(found, share):
-    given = found.given.pneumatics.gauge_pressure_pa
-    return replace(with_tension(found, 0.01), gauge=Quantity.normal(share * given, 0.0))
+def gauged(found, share, sigma_pa=1.0):
+    """With so much of the sensor file's gauge pressure, which the file knows to `sigma_pa`."""
+    given = changed(found.given, pneumatics={"gauge_sigma_pa": sigma_pa})
+    gauge = Quantity.normal(share * given.pneumatics.gauge_pressure_pa, 0.0)
+    return replace(with_tension(found, 0.01), given=given, gauge=gauge)
 
 
 def without_gas(found):
@@ -91,6 +94,7 @@ def test_grade_follows_the_interval_unless_there_is_a_warning(ball, relative, fr
         (lambda found: gauged(found, 0.96), ""),
         (lambda found: gauged(found, 1.06), "The gauge pressure is 6 % above"),
         (lambda found: gauged(found, 0.94), "The gauge pressure is 6 % below"),
+        (lambda found: gauged(found, 0.94, None), ""),  # within ±2 kPa
         (without_gas, "Not every contact-free frame has a gas pressure"),
         (lambda found: with_seen_share(found, 0.81), ""),
         (lambda found: with_seen_share(found, 0.79), "does not see 21 % of the dome"),
