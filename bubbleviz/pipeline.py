@@ -220,10 +220,9 @@ class Pipeline:
         known = {} if frame.noise == 1.0 else {"noise": frame.noise}  # as in `_estimated`
         return self.estimator.is_untouched(frame.depth_m, **known)
 
-    def with_noise(self, frames: Sequence[Frame]) -> list[Frame]:
-        """Consecutive frames without contact with the noise factor of their depth images."""
-        noise = self.estimator.image_noise([frame.depth_m for frame in frames])
-        return [replace(frame, noise=noise) for frame in frames]
+    def image_noise(self, frames: Sequence[Frame]) -> tuple[float, float]:
+        """Noise factor of consecutive frames without contact, and inflation of their mean."""
+        return self.estimator.image_noise([frame.depth_m for frame in frames])
 
     def estimate_once(self, frame: Frame) -> Estimate:
         """Estimate of a frame that leaves the warm start of the next one unchanged.

@@ -91,9 +91,11 @@ class ImageZero:
         if not touched:
             self._rest.append(result)
         if touched or len(self._rest) == ZERO_FRAMES:
-            self.take(self._rest, pipeline)
+            inflation = 1.0
             if len(self._rest) > 1:
-                self.noise = pipeline.with_noise([each.frame for each in self._rest])[0].noise
+                frames = [each.frame for each in self._rest]
+                self.noise, inflation = pipeline.image_noise(frames)
+            self.take(self._rest, pipeline, inflation)
             self._rest = []
 
     def _is_noise(self, result: Result, pipeline: Pipeline) -> bool:
@@ -101,10 +103,16 @@ class ImageZero:
         implausible = result.estimate is not None and result.estimate.status == "implausible"
         if not implausible or len(self._last) <= LAG:
             return False
-        noisy = pipeline.with_noise([self._last[0], result.frame])[-1]
-        return noisy.noise > result.frame.noise and pipeline.is_untouched(noisy)
+        noise, _ = pipeline.image_noise([self._last[0], result.frame])
+        noisy = replace(result.frame, noise=noise)
+        return noise > result.frame.noise and pipeline.is_untouched(noisy)
 
-    def take(self, rest: Sequence[Result], pipeline: Pipeline) -> None:
+    def take(
+        self,
+        rest: Sequence[Result],
+        pipeline: Pipeline,
+        inflation: float,  # of the variance of their mean, as noise is correlated in time
+    ) -> None:
         """Determine the errors from consecutive solved frames without contact."""
         used = [each for each in rest[:-MIN_FRAMES] if _image_errors(each) is not None]
         moved = 2 * sum(map(camera_moved, used)) > len(used)
@@ -112,9 +120,9 @@ class ImageZero:
             self._since_calibration = self._known = pipeline.estimator.image_prior
             self._time_s = used[0].frame.time_s
         for result in used:
-            self._add(result)
+            self._add(result, inflation)
 
-    def _add(self, result: Result) -> None:
+    def _add(self, result: Result, inflation: float) -> None:
         """Update by an image: a step of a Kalman filter, in terms of inverse covariances."""
         known, since, found = self._known, self._since_calibration, _image_errors(result)
         assert known is not None and since is not None and found is not None
@@ -124,6 +132,7 @@ class ImageZero:
         precision = np.linalg.inv(found.covariance) - np.linalg.inv(prior.covariance)
         weighted = np.linalg.solve(found.covariance, found.mean)
         weighted -= np.linalg.solve(prior.covariance, prior.mean)
+        precision, weighted = precision / inflation, weighted / inflation
         scatter = np.eye(len(precision)) + _JITTER**2 * precision @ since.covariance
         before = np.linalg.inv(self._walk(time_s))
         covariance = np.linalg.inv(before + np.linalg.solve(scatter, precision))
@@ -329,9 +338,8 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     rest, image, still = _rest_of(source, pipeline), ImageZero(), None
     if _knows_errors(pipeline):
         if rest:
-            rest = pipeline.with_noise(rest)
-            image.noise = rest[0].noise
-        image.take(_solved_alone(rest, pipeline), pipeline)
+            image.noise, inflation = pipeline.image_noise(rest)
+            image.take(_solved_alone(rest, image.noise, pipeline), pipeline, inflation)
         if not isinstance(source, HeldFrames):  # their frames are not neighbours
             still = StillFrames(pipeline, source)
     image.fixed = True
@@ -376,9 +384,9 @@ def _rest_from(source: FrameSource, start: int, pipeline: Pipeline) -> list[Fram
     return rest
 
 
-def _solved_alone(rest: Sequence[Frame], pipeline: Pipeline) -> list[Result]:
+def _solved_alone(rest: Sequence[Frame], noise: float, pipeline: Pipeline) -> list[Result]:
     """Results of frames by their depth alone, up to the first one with contact."""
-    alone = [replace(frame, gas_pressure_pa=None) for frame in rest]
+    alone = [replace(frame, gas_pressure_pa=None, noise=noise) for frame in rest]
     results = [Result(each, estimate=pipeline.estimate_once(each)) for each in alone]
     return list(takewhile(_is_contact_free, results))
 
@@ -435,8 +443,8 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
             return None
         # Noise changes images as much before a frame as after it; a contact that begins does not.
         others = {max(index - LAG, 0), min(index + LAG, len(source) - 1)} - {index}
-        noisy = [pipeline.with_noise([frame, source[k]])[0] for k in sorted(others)]
-        frame = min(noisy, key=lambda each: each.noise, default=frame)
+        noises = (pipeline.image_noise([frame, source[k]])[0] for k in sorted(others))
+        frame = replace(frame, noise=min(noises, default=1.0))
         return frame if frame.noise > 1.0 and pipeline.is_untouched(frame) else None
     except InputError:
         return None

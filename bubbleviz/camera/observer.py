@@ -6,6 +6,7 @@ smaller than the mesh resolves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -328,14 +329,23 @@ class RangeObserver:
         rounding = self._rounding_variance(total, moment) if self._is_rounded(depth_m) else 0.0
         return Measured(depth_m, noise, total / noise**2, moment / noise**2, rounding, noise)
 
-    def change_noise(self, one: Measured, other: Measured) -> float:
-        """Noise factor of block means by the change between two images."""
-        block = np.flatnonzero((one.total > 0.0) & (other.total > 0.0))
-        variance = np.zeros(len(block))
-        for each in (one, other):
-            variance += 1.0 / self._weight(each.total, each.rounding_m2)[block]
-        before, after = (each.moment[block] / each.total[block] for each in (one, other))
-        return self._squares.noise_factor_by_curvature(block, (after - before) / np.sqrt(variance))
+    def change_noise(self, images: Sequence[Measured], lag: int) -> tuple[float, float]:
+        """Noise factor of block means by their changes over `lag` images, and variance of these.
+
+        The variance is relative to that expected; both are medians.
+        """
+        found = []
+        for one, other in zip(images[:-lag], images[lag:], strict=True):
+            block = np.flatnonzero((one.total > 0.0) & (other.total > 0.0))
+            variance = np.zeros(len(block))
+            for each in (one, other):
+                variance += 1.0 / self._weight(each.total, each.rounding_m2)[block]
+            before, after = (each.moment[block] / each.total[block] for each in (one, other))
+            z = (after - before) / np.sqrt(variance)
+            factor = self._squares.noise_factor_by_curvature(block, z)
+            found.append((factor, float(z @ z) / max(len(z), 1)))
+        noise, square = np.median(found, axis=0).tolist()
+        return noise, square
 
     def weigh(self, measured: Measured, expected_m: np.ndarray | None = None) -> Observation:
         """Block residuals of a measurement; `expected_m` as in `observe`."""

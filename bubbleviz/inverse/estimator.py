@@ -294,18 +294,28 @@ class Estimator:
         rest = self._newton.observe(FrameData(measured), self._newton.rest, None)
         return self._newton.fits_without_contact(rest, None)
 
-    def image_noise(self, images_m: Sequence[np.ndarray]) -> float:
-        """Noise factor of consecutive images (H, W) without contact, averaged over blocks.
+    def image_noise(self, images_m: Sequence[np.ndarray]) -> tuple[float, float]:
+        """Noise of consecutive images (H, W) without contact, averaged over blocks.
 
-        By their changes, which errors of the sensor file do not cause: its upper 95 % limit, and 1
-        where noise as in that file explains them.
+        By their changes, which errors of the sensor file do not cause. First its factor: the upper
+        95 % limit, and 1 where noise as in that file explains them. Then the variance of the mean
+        of many images over that of independent ones with this factor, at least 1.
+
+        The noise is correlated by a with that of the next image, by aᵏ over k images, as an
+        exponential filter in the camera causes it: the variance of changes over two images is 1 + a
+        times that over one. a is limited: all images are worth at least one.
         """
         measured = [self.observer.measure(depth_m) for depth_m in images_m]
-        lag = min(LAG, len(measured) - 1)
-        pairs = zip(measured[:-lag], measured[lag:], strict=True)
-        found = [self.observer.change_noise(*pair) for pair in pairs]
-        noise, limit = float(np.median(found)), 1.0 + (UPPER_95 - 1.0) / sqrt(len(found))
-        return AS_EXPECTED.with_ranges(limit * noise).ranges if noise > limit else 1.0
+        count, lag = len(measured), min(LAG, len(measured) - 1)
+        lags = 1, min(2, count - 1), lag
+        by_lag = [self.observer.change_noise(measured, each) for each in lags]
+        (_, over_one), (_, over_two), (noise, _) = by_lag
+        a = max(0.0, over_two / max(over_one, np.finfo(float).tiny) - 1.0)
+        a = min(a, (count - 1) / (count + 1))
+        limit = 1.0 + (UPPER_95 - 1.0) / sqrt(count - lag)
+        noise /= sqrt(1.0 - a**lag)
+        factor = AS_EXPECTED.with_ranges(limit * noise).ranges if noise > limit else 1.0
+        return factor, max(1.0, (noise / factor) ** 2 * (1.0 + a) / (1.0 - a))
 
     def is_untouched(self, depth_m: np.ndarray, noise: float = 1.0) -> bool:
         """Whether an image (H, W), without the gas pressure, is explained without contact."""

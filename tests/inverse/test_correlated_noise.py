@@ -32,6 +32,11 @@ def exact():
 def noisy(frame, k, width_px=WIDTH_PX, relative=RELATIVE):
     """An image with noise of the standard deviation in the sensor file."""
     noise = np.random.default_rng(k).standard_normal(frame.depth_m.shape)
+    return with_noise(frame, k, noise, width_px, relative)
+
+
+def with_noise(frame, k, noise, width_px, relative):
+    """The same of given white noise."""
     if width_px:
         noise = gaussian_filter(noise, width_px)
     depth_m = frame.depth_m * np.float32(1.0 + relative * noise / noise.std())
@@ -54,6 +59,18 @@ def test_frames_of_a_recording_without_contact_have_none():
     sigma_n = run.table()[[f"force_sigma_{axis}_n" for axis in "xyz"]].to_numpy()[REST:]
     inside = np.abs(run.force_n[REST:] - forces) <= 1.96 * sigma_n
     assert np.count_nonzero(inside) >= 8  # of 9 components
+
+
+def test_noise_that_is_correlated_in_time_is_no_contact():
+    """The images at the start then tell less of the errors of later ones than their number says."""
+    rest, random, kept = exact()[0][0], np.random.default_rng(5), 0.8
+    noise, frames = random.standard_normal(rest.depth_m.shape), []
+    for k in range(100):
+        new = random.standard_normal(noise.shape)
+        noise = kept * noise + np.sqrt(1.0 - kept**2) * new
+        frames.append(with_noise(rest, k, noise, WIDTH_PX, RELATIVE))
+    run = bv.estimate(frames, rubber_dome())
+    assert np.count_nonzero(run.status == "no_contact") >= 99
 
 
 def test_later_frames_of_a_stream_without_contact_have_none():
