@@ -208,6 +208,8 @@ class RangeObserver:
         self._sample = self._used.of(self._whole_blocks())
         correlated = 1.0 if pixels is None else pixels.correlated_pixels
         self._noise_m = float(np.median(1.0 / np.sqrt(self._used.precision)))
+        if pixels is not None:  # σ of rounded depth, with that of rounding, which is no dither
+            self._noise_m = float(np.sqrt(max(self._noise_m**2 - _MILLIMETRE**2 / 12.0, 0.0)))
         apart = max(1.0, correlated / _OUTLIER_PIXELS, len(self.pixel) / _MAX_OUTLIER_PIXELS)
         self._spread = self._used.of(self._every_nth(int(np.sqrt(apart))))
         rows = max(500, 200_000 // block**2)

@@ -290,7 +290,13 @@ def measure_depth(
     temporal = temporal_correlation(deviations, sigma)
     # of the variance, as the mean of the same samples is removed
     share = 1.0 - mean_inflation(temporal) / len(depth)
-    noise = np.sqrt(sigma**2 / max(share, 1.0 / len(depth)) + quantum**2 / 12.0)
+    variance = sigma**2 / max(share, 1.0 / len(depth))
+    if quantum:
+        # Rounding changes that of each pixel by up to q²/4, depending on the depth at rest. Weights
+        # by it would prefer pixels whose rounded depth stays the same if the membrane moves a bit.
+        usual = np.abs(variance - np.nanmedian(variance)) <= quantum**2 / 4.0
+        variance[usual] = variance[usual].mean()
+    noise = np.sqrt(np.maximum(variance, quantum**2 / 12.0))
     spatial = spatial_correlation(deviations, sigma, stride=-(-len(depth) // _IMAGES))
     return DepthStatistics(
         frames=len(depth),

@@ -115,14 +115,30 @@ def test_pixel_with_one_return_has_that_value():
     assert found.range_m[8, 8] == pytest.approx(depth[:2, 8, 8].mean(), abs=1e-8)
 
 
-def test_quantised_depth_keeps_its_mean_and_a_floor_of_noise():
-    rng = np.random.default_rng(0)
-    truth = rng.uniform(0.08, 0.081, (40, 50))
-    depth = np.rint((truth + 5e-5 * rng.standard_normal((60, 40, 50))) / 1e-4) * 1e-4
-    found = measure_depth(depth.astype(np.float32), np.ones((40, 50), np.float32))
+def test_quantised_depth_keeps_its_mean():
+    found, truth = quantised(5e-5)
     assert found.quantum_m == pytest.approx(1e-4, rel=1e-3)
     assert np.sqrt(np.mean((found.range_m - truth) ** 2)) < 1.2e-5  # the median: 3e-5
-    assert found.noise_m.min() >= 0.99e-4 / np.sqrt(12.0)
+
+
+@pytest.mark.parametrize("sigma_m", [0.0, 2e-5, 5e-5])
+def test_noise_of_quantised_depth_does_not_depend_on_the_depth(sigma_m):
+    """That of the camera and of rounding together; a pixel with much more noise keeps it."""
+    found, _ = quantised(sigma_m)
+    noise = found.noise_m.ravel()
+    expected = np.hypot(sigma_m, 1e-4 / np.sqrt(12.0))
+    np.testing.assert_allclose(np.quantile(noise[1:], [0.01, 0.99]), expected, rtol=0.1)
+    assert noise[0] == pytest.approx(4e-4, rel=0.3)
+
+
+def quantised(sigma_m):
+    """Statistics of depths in steps of 0.1 mm, of which the first is noisier, and the true ones."""
+    rng = np.random.default_rng(0)
+    truth, sigma = rng.uniform(0.08, 0.081, (40, 50)), np.full((40, 50), sigma_m)
+    sigma[0, 0] = 4e-4
+    depth = np.rint((truth + sigma * rng.standard_normal((60, 40, 50))) / 1e-4) * 1e-4
+    found = measure_depth(depth.astype(np.float32), np.ones((40, 50), np.float32))
+    return found, truth
 
 
 def test_outliers_and_missing_returns():

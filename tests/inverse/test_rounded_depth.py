@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from tests.inverse.test_rubber_estimator import depth_image_of, estimator, pressed
+from bubbleviz.camera import PixelModel, RangeObserver
+from bubbleviz.membrane import mesh_cap, spherical_cap
+from tests.inverse.test_rubber_estimator import (
+    CAMERA,
+    A,
+    H,
+    depth_image_of,
+    estimator,
+    pressed,
+)
 
 NOISE_M = 1e-4
 
@@ -24,6 +33,19 @@ def test_force_from_depth_in_whole_millimetres_is_in_its_interval(solver, depth,
     estimate, _ = solver.estimate(rounded(mesh, contact.displacement_3d_m))
     assert estimate.status == "ok"
     assert (np.abs(estimate.force_n - truth) < 1.96 * estimate.force_sigma_n).all()
+
+
+def test_noise_in_a_pixels_file_includes_that_of_rounding():
+    """So rounding errors are as similar in neighbouring blocks as without a pixels file."""
+    mesh = mesh_cap(spherical_cap(A, H), 1000)
+    image = rounded(mesh, np.zeros_like(mesh.nodes))
+    told = np.full(image.shape, np.hypot(NOISE_M, 1e-3 / np.sqrt(12.0)))
+    pixels = PixelModel(np.isfinite(image), np.zeros_like(told), told)
+    with_file, without = (
+        RangeObserver(CAMERA, mesh, NOISE_M / 0.065, each, block=3) for each in (pixels, None)
+    )
+    found, known = (np.mean(each.measure(image).rounding_m2) for each in (with_file, without))
+    assert found == pytest.approx(known, rel=0.2) and known > 1e-8
 
 
 def test_rounding_is_not_contact(solver):
