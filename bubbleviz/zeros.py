@@ -91,11 +91,9 @@ class ImageZero:
         if not touched:
             self._rest.append(result)
         if touched or len(self._rest) == ZERO_FRAMES:
-            inflation = 1.0
             if len(self._rest) > 1:
-                frames = [each.frame for each in self._rest]
-                self.noise, inflation = pipeline.image_noise(frames)
-            self.take(self._rest, pipeline, inflation)
+                self.noise, inflation = pipeline.image_noise([each.frame for each in self._rest])
+                self.take(self._rest, pipeline, inflation)
             self._rest = []
 
     def _is_noise(self, result: Result, pipeline: Pipeline) -> bool:
@@ -107,13 +105,11 @@ class ImageZero:
         noisy = replace(result.frame, noise=noise)
         return noise > result.frame.noise and pipeline.is_untouched(noisy)
 
-    def take(
-        self,
-        rest: Sequence[Result],
-        pipeline: Pipeline,
-        inflation: float,  # of the variance of their mean, as noise is correlated in time
-    ) -> None:
-        """Determine the errors from consecutive solved frames without contact."""
+    def take(self, rest: Sequence[Result], pipeline: Pipeline, inflation: float) -> None:
+        """Determine the errors from consecutive solved frames without contact.
+
+        `inflation` of the variance of their mean, as noise is correlated in time.
+        """
         used = [each for each in rest[:-MIN_FRAMES] if _image_errors(each) is not None]
         moved = 2 * sum(map(camera_moved, used)) > len(used)
         if used and (moved or self._known is None):

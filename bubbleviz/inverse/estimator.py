@@ -299,11 +299,9 @@ class Estimator:
 
         By their changes, which errors of the sensor file do not cause. First its factor: the upper
         95 % limit, and 1 where noise as in that file explains them. Then the variance of the mean
-        of many images over that of independent ones with this factor, at least 1.
-
-        The noise is correlated by a with that of the next image, by aᵏ over k images, as an
-        exponential filter in the camera causes it: the variance of changes over two images is 1 + a
-        times that over one. a is limited: all images are worth at least one.
+        of many images over that of independent ones with this factor, at least 1. Noise k images
+        apart is correlated by aᵏ, as an exponential filter in the camera causes it: changes over
+        two images have 1 + a times the variance of those over one. All are worth at least one.
         """
         measured = [self.observer.measure(depth_m) for depth_m in images_m]
         count, lag = len(measured), min(LAG, len(measured) - 1)
