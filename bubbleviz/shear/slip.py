@@ -4,8 +4,8 @@ Optical flow tracks points of the membrane inside each patch. The anchor of a po
 when it came into contact. The object's motion since then is the rigid motion of most of the
 sticking points; the motion of a point relative to it, along the membrane, is its slip. If a whole
 patch slides at once, its points do not move relative to each other: slip can only be detected
-relative to a part that sticks. If too little of that is left after a slip, it is unknown until
-the contact ends.
+relative to a part that sticks. Once too few points are left that move like one rigid body, it is
+unknown until the contact ends.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
+from scipy.stats import chi2
 
 from bubbleviz.camera import FlowObserver, PinnedPoints
 from bubbleviz.inverse import PatchEdge
@@ -45,6 +46,7 @@ class SlipStart:
     anchor_m: np.ndarray
     covariance: np.ndarray  # (k, 3, 3), of the anchors, m²
     stuck: np.ndarray  # (k,) bool, points that have not slipped since
+    compared: bool  # whether enough points stuck in an earlier frame of the contact
     frame: int  # index and time of the frame it was found in
     time_s: float
 
@@ -80,15 +82,18 @@ class SlipFinder:
         point, pinned = self._inside(estimate, flow)
         now = frame.index, frame.time_s
         all_stuck = np.ones(len(point), bool)
-        first = SlipStart(point, pinned.position, pinned.covariance, all_stuck, *now)
+        first = SlipStart(point, pinned.position, pinned.covariance, all_stuck, False, *now)
         if start is None or not start.leads_to(frame):
             return None, first
         _, known, before = np.intersect1d(point, start.point, return_indices=True)
         stuck = start.stuck[before]
         if np.count_nonzero(stuck) < _MIN_STUCK:
-            return None, replace(first, stuck=all_stuck & start.stuck.all())
+            first = replace(first, stuck=all_stuck & (not start.compared))
+            return None, replace(first, compared=start.compared)
         moved = _Motions.of(pinned, known, start.anchor_m[before], start.covariance[before])
         motion = moved.relative_to_stuck(stuck)
+        if motion is None:
+            return None, replace(first, stuck=~all_stuck, compared=True)
         area = pinned.area[known]
         likely = ndtr(motion.sigmas - moved.limit)
         slip = Slip(
@@ -105,7 +110,7 @@ class SlipFinder:
         covariance[known] = start.covariance[before]
         sticks = np.ones(len(point), bool)
         sticks[known] = stuck & ~slip.slipping
-        return slip, SlipStart(point, anchors, covariance, sticks, *now)
+        return slip, SlipStart(point, anchors, covariance, sticks, True, *now)
 
     def _inside(self, estimate: Estimate, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
         """Points that are surely inside the patch, and their positions.
@@ -157,19 +162,25 @@ class _Motions(NamedTuple):
         """Detection threshold in σ, which noise exceeds at any point with rate `_FALSE_ALARMS`."""
         return float(np.sqrt(2.0 * np.log(len(self.anchors) / _FALSE_ALARMS)))
 
-    def relative_to_stuck(self, stuck: np.ndarray) -> _RelativeMotion:
+    def relative_to_stuck(self, stuck: np.ndarray) -> _RelativeMotion | None:
         """Motion relative to the rigid motion of most of the points that stuck so far.
 
-        It minimises absolute deviations: it is not a mean of the motions of two parts.
+        It minimises absolute deviations: it is not a mean of the motions of two parts. None if no
+        part of them moves like a rigid body to within noise, as where the whole patch slides.
         """
         weight = stuck / np.trace(self.now + self.before, axis1=1, axis2=2)
         motion = self._relative_to_fit(weight)
-        if (motion.sigmas[stuck] <= self.limit).all():
-            return motion
-        for _ in range(_ROUNDS):
-            motion = self._relative_to_fit(weight / np.maximum(motion.sigmas, 1.0))
+        if not (motion.sigmas[stuck] <= self.limit).all():
+            for _ in range(_ROUNDS):
+                motion = self._relative_to_fit(weight / np.maximum(motion.sigmas, 1.0))
         still = stuck & (motion.sigmas <= self.limit)
-        return self._relative_to_fit(weight * still) if still.sum() >= _MIN_STUCK else motion
+        while np.count_nonzero(still) >= _MIN_STUCK:
+            motion = self._relative_to_fit(weight * still)
+            squares = np.where(still, motion.sigmas, 0.0) ** 2
+            if squares.sum() <= chi2.isf(_FALSE_ALARMS, 2 * np.count_nonzero(still) - 3):
+                return motion
+            still[np.argmax(squares)] = False
+        return None
 
     def _relative_to_fit(self, weight: np.ndarray) -> _RelativeMotion:
         share = weight / weight.sum()
