@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -22,7 +21,7 @@ from bubbleviz.inverse.contact_problem import (
     smoothness,
     touching_parts,
 )
-from bubbleviz.inverse.friction import WIDEST, FrictionScale, friction_nuisances, friction_scale
+from bubbleviz.inverse.friction import WIDEST, friction_nuisances, friction_scale
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -144,8 +143,6 @@ class Step:
         The last one computed, which may be nearer to the new shape.
     friction : two int arrays
         Indices of the amplitudes of slides, and of spins, determined by depth alone.
-    spreads : two (q, q) arrays
-        What the unknown scales of their priors add to the covariances of slides and spins.
     hyperparameters : Hyperparameters
         By the step's own evidence near the solution, else those given.
     selected_with : Hyperparameters
@@ -162,7 +159,6 @@ class Step:
     tangent: Tangent
     last_tangent: Tangent
     friction: tuple[np.ndarray, np.ndarray]
-    spreads: Sequence[np.ndarray]
     hyperparameters: Hyperparameters
     selected_with: Hyperparameters
     residual_m: np.ndarray
@@ -352,13 +348,12 @@ class GaussNewton:
         began = time.perf_counter()
         problem = self._problem(tangent, measurements, state, gas)
         touches, support = self._touch_rule(state, gas), state.support
-        spreads: Sequence[np.ndarray] = ()
         selected_with, selections = hyper, 0
         while True:
             contact = self._contact(problem, touches, support, observed, rounds, near)
             if not near:
                 break
-            contact, hyper, spreads = self._by_evidence(
+            contact, hyper = self._by_evidence(
                 contact, touches, friction, observed, gas, hyper, fit_image
             )
             if not rounds:
@@ -387,7 +382,6 @@ class GaussNewton:
             tangent,
             last,
             friction,
-            spreads,
             hyper,
             selected_with,
             observed.residual_m(motion, nuisances.error(contact.amplitudes)),
@@ -506,8 +500,8 @@ class GaussNewton:
         gas: float | None,
         hyper: Hyperparameters,
         fit_image: bool,
-    ) -> tuple[ContactPressure, Hyperparameters, Sequence[np.ndarray]]:
-        """A contact with hyperparameters by its own evidence, these, and `Step.spreads`.
+    ) -> tuple[ContactPressure, Hyperparameters]:
+        """A contact with hyperparameters by its own evidence, and these.
 
         They are determined on its support, as they change neither the derivative of the
         measurements nor its Gram matrix. With optical flow the noise factors remain. Errors of the
@@ -525,14 +519,14 @@ class GaussNewton:
             known = hyper._replace(image_errors=observed.image_prior)
             contact, hyper = solved(known), known
         for _ in range(_MAX_SOLUTIONS):
-            found, spreads = self._evidence(contact, friction, observed, hyper, fit_image)
+            found = self._evidence(contact, friction, observed, hyper, fit_image)
             if found == hyper:
                 break
             again, before = solved(found), hyper
             same_nodes, contact, hyper = np.array_equal(again.nodes, contact.nodes), again, found
             if same_nodes and hyper == before._replace(friction=hyper.friction):
                 break  # the scales of friction do not depend on those it was solved with
-        return contact, hyper, spreads
+        return contact, hyper
 
     def _evidence(
         self,
@@ -541,20 +535,20 @@ class GaussNewton:
         observed: LinearisedFrame,
         hyper: Hyperparameters,
         fit_image: bool,
-    ) -> tuple[Hyperparameters, list[np.ndarray]]:
-        """Hyperparameters by the evidence of a contact solved with others, and `Step.spreads`."""
-        scales = [FrictionScale(scale, np.zeros((0, 0))) for scale in hyper.friction]
+    ) -> Hyperparameters:
+        """Hyperparameters by the evidence of a contact solved with others."""
+        scales = hyper.friction
         if len(friction[0]):  # else no contact, or optical flow sees all
-            scales = [
+            slides, spins = (
                 friction_scale(
                     contact.amplitudes[own],
                     part(contact.covariance, len(contact.nodes) + own),
                     self.friction,
                     scale,
-                )
+                ).value
                 for own, scale in zip(friction, hyper.friction, strict=True)
-            ]
-        slides, spins = scales
+            )
+            scales = slides, spins
         noise, image_errors = hyper.noise, hyper.image_errors
         if observed.flow is None and (contact.pressure.any() or not contact.pivots):
             error_m = contact.problem.measurements.nuisances.error(contact.amplitudes)
@@ -564,8 +558,7 @@ class GaussNewton:
             shift = contact.amplitudes[-len(IMAGE_ERRORS) :] / hyper.doubt
             if shift @ image_errors.precision @ shift > _IMAGE_CHANGED:
                 image_errors = self.image_prior
-        found = Hyperparameters(noise, (slides.value, spins.value), image_errors)
-        return found, [slides.spread, spins.spread]
+        return Hyperparameters(noise, scales, image_errors)
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
         """Nodes (n,) bool that an image shows neither at the present shape nor at rest.

@@ -396,7 +396,7 @@ class Iteration:
             noise,
             observer.misfit(observed.observation, view.block, step.residual_m),
             newton.contradicts(step.state.gas, self._data.gas_pa),
-            wrench_covariance(step, newton.friction * ~by_flow, step.spreads),
+            wrench_covariance(step, newton.friction, by_flow),
             _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
             _flow_fit(step, observed.flow, noise) if by_flow.any() else None,
             self._image_errors(step, observed),

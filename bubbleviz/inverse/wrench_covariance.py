@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
+from bubbleviz.inverse.friction import friction_scale
 from bubbleviz.inverse.gauss_newton import Step
 from bubbleviz.inverse.pivoting import part
 from bubbleviz.membrane import cross
@@ -18,23 +17,20 @@ off by 1.8 % in the median of 42 frames, and by up to 9 % if a puck is twisted b
 the same time; forces of frictionless presses by at most 1.4 %."""
 
 
-def wrench_covariance(
-    step: Step,
-    friction: np.ndarray,
-    spreads: Sequence[np.ndarray],
-) -> np.ndarray:
+def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.ndarray:
     """Covariance (6, 6) of the wrench due to noise, nuisances, material and model.
 
-    The support is uncertain by one node: its neighbours may touch, too.
+    The support is uncertain by one node: its neighbours may touch, too. This leaves friction less
+    determined, so that the scale of its prior matters more.
 
     Parameters
     ----------
     step : Step
         The last one of the frame.
-    friction : (n,) array
-        Prior standard deviation of friction over pressure, where optical flow does not see it.
-    spreads : two (q, q) arrays
-        What the unknown scales of their priors add to the covariances of slides and of spins.
+    friction : float
+        Prior standard deviation of friction over pressure.
+    by_flow : (n,) bool array
+        Nodes whose friction optical flow sees.
     """
     nodes, problem = step.contact.nodes, step.contact.problem
     if not len(nodes):
@@ -46,26 +42,21 @@ def wrench_covariance(
     ]
     unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
     push = step.contact.pressure[:, None] * step.state.area_vectors
-    model = _model_covariance(step.state.x, push, unknowns @ unit, friction)
-    for own, spread in zip(step.friction, spreads, strict=True):
-        model += _by_friction(step, unit, own, spread)
-    around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
-    unit = unit_wrenches(step, around)
-    covariance = model + problem.covariance_of(around, unit)
+    covariance = _model_covariance(step.state.x, push, unknowns @ unit, friction * ~by_flow)
     for change in by_material:
         covariance += np.outer(change, change)
-    return covariance
-
-
-def _by_friction(step: Step, unit: np.ndarray, own: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Covariance (6, 6) of a wrench by a `spread` (q, q) of its amplitudes `own` (q,).
-
-    `unit` (s + a, 6) is the wrench of unit pressures and amplitudes.
-    """
-    joint, at = step.contact.covariance, len(step.contact.nodes) + own
-    wrenches = unit.T @ np.linalg.solve(part(joint, at), joint[at]).T
-    covariance: np.ndarray = wrenches @ spread @ wrenches.T
-    return covariance
+    around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
+    unit = unit_wrenches(step, around)
+    alone = np.eye(len(unit))[:, len(around) + np.concatenate(step.friction)]
+    joint = problem.covariance_of(around, np.hstack([unit, alone]))
+    places = np.split(np.arange(6, len(joint)), [len(step.friction[0])])
+    for own, at, scale in zip(step.friction, places, step.hyperparameters.friction, strict=True):
+        if len(own):
+            amplitudes, uncertain = step.contact.amplitudes[own], part(joint, at)
+            spread = friction_scale(amplitudes, uncertain, friction, scale).spread
+            wrenches = np.linalg.solve(uncertain, joint[at, :6]).T
+            covariance += wrenches @ spread @ wrenches.T
+    return covariance + joint[:6, :6]
 
 
 def change_by(step: Step, measured: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from tests.inverse.test_rubber_estimator import (
     estimator,
     oracle,
 )
+from tests.shear.drag import Eyes, stuck
 
 ROWS, COLUMNS = np.indices((CAMERA.intrinsics.height, CAMERA.intrinsics.width))
 FROM_MIDDLE_PX = {
@@ -50,3 +51,23 @@ def test_force_of_a_contact_cut_off_by_the_edge_is_in_its_interval(noisy, side, 
     assert estimate.seen_share < 0.9
     assert np.linalg.norm(away) < 0.08 * exact.force_n
     assert (np.abs(away) < 1.96 * estimate.force_sigma_n).all()
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "drag_m", "side", "cut"), [(0.002, 4e-4, 1.0, -1.5), (0.0015, 3e-4, -1.0, -1.0)]
+)
+def test_friction_of_a_contact_beyond_the_edge_is_in_its_interval(depth_m, drag_m, side, cut):
+    """A ball that sticks and is dragged, most of it or all of it out of view."""
+    truth, eyes = stuck("sphere", depth_m, drag_m, 0.0), Eyes()
+    x = (truth.mesh.nodes + truth.displacement_m)[truth.nodal_force_n.any(axis=1)]
+    center, camera = x.mean(axis=0), eyes.pipeline.camera
+    radius = np.linalg.norm((x - center)[:, :2], axis=1).max()
+    places = np.array([center, center])
+    places[1, 0] += radius
+    middle, right = camera.intrinsics.project(camera.local(places))
+    frame = eyes.see(truth)
+    beyond = (np.arange(frame.depth_m.shape[1]) - middle[0]) * side > cut * abs(right - middle)[0]
+    frame.depth_m[:, beyond] = np.nan
+    estimate = eyes.pipeline.process(frame, frozenset({"patch"})).estimate
+    assert estimate.seen_share < 0.5
+    assert (np.abs(estimate.force_n - truth.force_n) < 1.96 * estimate.force_sigma_n).all()
