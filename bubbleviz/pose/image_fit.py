@@ -14,11 +14,10 @@ from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_
 from bubbleviz.membrane import area_vectors
 from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, turning, way_at
 from bubbleviz.pose.pressed_membrane import ROUNDING_M, Press, PressedMembrane
-from bubbleviz.pose.registration import ContactPoints, Directions, Precision
+from bubbleviz.pose.registration import MODEL_ERROR_M, ContactPoints, Directions, Precision
 
 _AROUND_M = 8e-3  # around the patch pixels are compared; further away the membrane hardly moves
 _OUTLIER_SIGMAS = 4.0  # residual in standard deviations that reduces a pixel to a quarter
-_MIN_SIGMA_M = 5e-4  # lower bound of the noise, below which model errors dominate
 _MODEL_DEVIATION_M = 5e-4
 """Model error of the membrane around the contact, due to stiffness and gas, expressed as motions of
 the object in the directions that the contact determines."""
@@ -136,7 +135,7 @@ class ImageFit:
         off[predicted.on_face[valid]] = 0.0
         off = np.column_stack([off, predicted.rounding[valid]])
         J = np.hstack([J, off])
-        weight = count[valid] * _weights(residual)
+        weight = _weights(residual, count[valid])
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
         known_off = np.full(off.shape[1], _MODEL_DEVIATION_M)
@@ -147,11 +146,13 @@ class ImageFit:
         # Model errors are independent between areas of the size of the estimate's resolution: of
         # the membrane's position, and of the radius at which it leaves the object's edges.
         by_position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
-        pulls = (J[:, :6] - J[:, 6:] @ gain.T) * (weight * predicted.rounding[valid])[:, None]
-        square = predicted.square[valid]
-        by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in pulls.T])
+        pulling = J[:, :6] - J[:, 6:] @ gain.T
+        pulls = pulling.T * weight
+        each, square = pulls * predicted.rounding[valid], predicted.square[valid]
+        by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in each])
+        pulled = by_position * pulls @ pulling + by_radius @ by_radius.T
         covariance = np.linalg.inv(information + START_INFORMATION)
-        persistent = by_position * covariance + covariance @ by_radius @ by_radius.T @ covariance
+        persistent = covariance @ pulled @ covariance
         return ImageStep(information, g, persistent)
 
     def predicted(
@@ -214,9 +215,10 @@ class ImageFit:
         )
 
 
-def _weights(residual_m: np.ndarray) -> np.ndarray:
-    """1/σ² of pixels from their residuals (b,), smaller for outliers."""
+def _weights(residual_m: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """1/σ² of groups of some pixels (b,) from their mean residuals, smaller for outliers."""
     if not len(residual_m):
         return residual_m
-    sigma = max(float(np.median(np.abs(residual_m))) / MAD, _MIN_SIGMA_M)
-    return 1.0 / (sigma * (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma)) ** 2)) ** 2
+    of_pixels = residual_m * np.sqrt(count)  # in which noise is that of one pixel
+    sigma = max(float(np.median(np.abs(of_pixels))) / MAD, MODEL_ERROR_M)
+    return count / (sigma * (1.0 + (of_pixels / (_OUTLIER_SIGMAS * sigma)) ** 2)) ** 2
