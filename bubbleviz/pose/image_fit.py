@@ -42,7 +42,7 @@ class PredictedImage:
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the press's centre
     on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
-    square: np.ndarray  # (b,) int, their square of the image, as wide as the estimate's resolution
+    square: np.ndarray  # (b,) int, their square of the image, as wide as an edge of the mesh
     area_m2: float  # of the membrane in these pixels
     press: Press
     by_loads_m: float = 0.0  # largest motion of a node by changes of friction and gas pressure
@@ -143,8 +143,9 @@ class ImageFit:
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
-        # Model errors are independent between areas of the size of the estimate's resolution: of
-        # the membrane's position, and of the radius at which it leaves the object's edges.
+        # Model errors are independent between areas: of the membrane's position, of the size of the
+        # estimate's resolution; of the radius at which it leaves the object's edges, of the size of
+        # the mesh, which cannot follow them.
         by_position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
         pulling = J[:, :6] - J[:, 6:] @ gain.T
         pulls = pulling.T * weight
@@ -201,7 +202,7 @@ class ImageFit:
         columns = vector_columns(mesh.triangles)[hits.triangle]
         J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
         vectors = area_vectors(press.nodes, mesh.triangles[np.unique(hits.triangle)])
-        square = np.floor(self._places[pixel[:, 0], :2] / self._precision.resolution_m).astype(int)
+        square = np.floor(self._places[pixel[:, 0], :2] / mesh.edge_length).astype(int)
         square -= square.min(axis=0, initial=0)
         return PredictedImage(
             pixel=pixel,

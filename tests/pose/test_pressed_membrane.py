@@ -356,7 +356,7 @@ def test_persistent_covariance_is_that_of_model_errors(pipeline, contact, image)
     observer, mesh = pipeline.estimator.observer, pipeline.mesh
     at_rest_m = ranges(pipeline, pixel[:, 0], mesh.nodes, mesh.triangles)
     places = at_rest_m[:, None] * observer.camera.directions[observer.pixel[pixel[:, 0]]]
-    squares = np.floor(places[:, :2] / precision.resolution_m)
+    squares = np.floor(places[:, :2] / found.press.part.mesh.edge_length)
     squares, square = np.unique(squares, axis=0, return_inverse=True)
     deviation_m = np.sqrt(len(pixel) / found.area_m2 / precision.of_model)
     every = Directions(np.eye(6), np.ones(6), np.zeros(6, bool))
