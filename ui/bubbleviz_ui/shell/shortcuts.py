@@ -29,42 +29,37 @@ STEP = " › "
 """Separator of menu names in the path of an action."""
 
 
-def spread(query: str, text: str) -> int | None:
-    """Length of the shortest part of a text with these letters in this order; None: has none."""
-    letters = ".*?".join(map(re.escape, query.lower().replace(" ", "")))
-    return min(
-        (len(part[1]) for part in re.finditer(f"(?=({letters}))", text.lower())), default=None
-    )
-
-
 def ranked(query: str, paths: list[str]) -> list[str]:
-    """Paths with these letters, best first, of equal ones the shortest; without letters all paths.
+    """Paths that contain every typed word, best first, then by menu; without letters all paths.
 
-    Words and beginnings of words rank before scattered letters, an item's own name before its path.
+    The letters of a typed word are those of a text, or beginnings of its words, as in "nextm".
+    Whole words rank before them, an item's own name before its path, and its beginning first.
     """
-    if not query:
+    if not query.strip():
         return paths
-    found = [path for path in paths if spread(query, path) is not None]
-    return sorted(found, key=lambda path: (*_rank(query.lower(), path), len(path)))
+    found = {path: _rank(query.lower(), path.lower()) for path in paths}
+    return sorted((path for path in paths if found[path]), key=lambda path: found[path] or ())
 
 
-def _rank(query: str, path: str) -> tuple[int, int]:
-    name, typed = path.split(STEP)[-1], query.split()
-    in_name, in_path = spread(query, name), spread(query, path) or 0
-    if in_name is None:
-        return (2 if _begin(typed, path) else 4), in_path
-    if _begin(typed, name):
-        return (0 if set(typed) <= set(_words(name)) else 1), in_name
-    return (2, in_path) if _begin(typed, path) else (3, in_name)
+def _rank(query: str, path: str) -> tuple[int, bool, int] | None:
+    """Kind of match, whether the name does not begin with it, steps of the path; None: no match."""
+    words, name = [_beginnings(word) for word in query.split()], path.split(STEP)[-1]
+    if set(query.split()) <= set(re.findall(r"\w+", name)):
+        kind = 0
+    elif all(word.search(name) for word in words):
+        kind = 1
+    elif all(word.search(path) for word in words):
+        kind = 2
+    elif query in path:
+        kind = 3
+    else:
+        return None
+    return kind, not name.startswith(query), path.count(STEP)
 
 
-def _begin(typed: list[str], text: str) -> bool:
-    """Whether each typed word is the start of a word of the text."""
-    return all(any(word.startswith(part) for word in _words(text)) for part in typed)
-
-
-def _words(text: str) -> list[str]:
-    return re.findall(r"\w+", text.lower())
+def _beginnings(word: str) -> re.Pattern[str]:
+    """Each letter follows the one before it, or begins a later word."""
+    return re.compile(r"\b" + r"(?:|.*?\b)".join(map(re.escape, word)))
 
 
 DYNAMIC = "unlisted"
@@ -242,7 +237,7 @@ class ShortcutsDialog(QDialog):
     def _filter(self, text: str) -> None:
         for row, name in enumerate(self._shortcuts.actions):
             keys = self._shortcuts.keys(name)
-            hidden = spread(text, name) is None and text.lower() not in keys.lower()
+            hidden = not ranked(text, [name]) and text.lower() not in keys.lower()
             self.table.setRowHidden(row, hidden)
         shown = [r for r in range(self.table.rowCount()) if not self.table.isRowHidden(r)]
         if shown:
