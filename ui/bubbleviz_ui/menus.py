@@ -85,7 +85,7 @@ class Menus(QObject):
         # that of a simulation says nothing about the camera to connect
         unknown = facts is None or facts.simulated
         name = None if sensor is None or unknown else name_of(sensor)
-        ConnectDialog(window, window.live_controller, name).open()
+        _deleted_on_close(ConnectDialog(window, window.live_controller, name)).open()
 
     def show_export(self) -> None:
         """Open the export dialog."""
@@ -188,7 +188,7 @@ class Menus(QObject):
 
     def show_shortcuts(self) -> None:
         """Show the keyboard shortcuts."""
-        ShortcutsDialog(self._window, self.shortcuts).open()
+        _deleted_on_close(ShortcutsDialog(self._window, self.shortcuts)).open()
 
     def _show_about(self) -> None:
         about = QMessageBox(self._window)
@@ -201,7 +201,7 @@ class Menus(QObject):
             f"Python {platform.python_version()}, Qt {qVersion()}, "
             f"VTK {vtkVersion.GetVTKVersion()}\n3-D quality: {self._window.view.quality.text}"
         )
-        about.open()
+        _deleted_on_close(about).open()
 
     def _edit(self, menu: QMenu) -> None:
         stack = self._window.undo_stack
@@ -375,7 +375,9 @@ class Menus(QObject):
         keys: str | None = None,
     ) -> QAction:
         """Add an action that shows a new dialog."""
-        return self._add(menu, title, lambda: make(self._window, *arguments).show(), keys)
+        return self._add(
+            menu, title, lambda: _deleted_on_close(make(self._window, *arguments)).show(), keys
+        )
 
     def _switch(self, menu: QMenu, title: str, keys: str = "") -> QAction:
         """Add a checkable action."""
@@ -436,6 +438,12 @@ class Menus(QObject):
         )
         if chosen:
             state.change(publish_at=endpoint.strip() or LOOPBACK)
+
+
+def _deleted_on_close(dialog: QDialog) -> QDialog:
+    """A dialog that is deleted when it is closed; else the window would keep every one opened."""
+    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+    return dialog
 
 
 class CheckMark(QObject):

@@ -5,6 +5,7 @@ from live_bench import messages_by_type, sensor_file
 from PySide6.QtCore import QSize, Qt, QTimer
 from PySide6.QtGui import QScreen, QTextDocument
 from PySide6.QtWidgets import QApplication, QDialog, QInputDialog, QTextBrowser
+from shiboken6 import isValid
 from window_driver import CTRL, view_texts
 
 from bubbleviz.files import pages_folder
@@ -96,7 +97,9 @@ DIALOGS = (
 )
 
 
-def test_dialogs_fit_a_screen_of_1024_by_700_pixels_at_150_percent(drive, monkeypatch):
+def test_dialogs_fit_a_screen_of_1024_by_700_at_150_percent_and_are_deleted_when_closed(
+    drive, monkeypatch
+):
     screen = QSize(683, 467)
     monkeypatch.setattr(QScreen, "availableSize", lambda _: screen)
     driver = drive(DentSource, frame=6)
@@ -109,6 +112,8 @@ def test_dialogs_fit_a_screen_of_1024_by_700_pixels_at_150_percent(drive, monkey
             picture = page.loadResource(QTextDocument.ResourceType.ImageResource.value, PICTURE)
             assert picture.deviceIndependentSize().width() <= page.viewport().width()
         dialog.close()
+        if name not in ("File › Import", "File › Export"):  # which keep what was entered
+            driver.wait(lambda dialog=dialog: not isValid(dialog))
     sizes, timer = [], QTimer(interval=20)
 
     def measure():

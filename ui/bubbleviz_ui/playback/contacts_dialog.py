@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QDialog, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.wording import count_of
@@ -24,7 +23,6 @@ class ContactsDialog(QDialog):
 
     def __init__(self, parent: QWidget, state: SessionState) -> None:
         super().__init__(parent)
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Contacts")
         resize_on_screen(self, *SIZE)
         self._state = state

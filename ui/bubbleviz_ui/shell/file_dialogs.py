@@ -69,7 +69,9 @@ def ask_to_save(parent: QWidget, title: str, text: str) -> Answer:
     question.setDefaultButton(kind.Save)
     question.button(kind.Save).setText("&Save…")
     answers: dict[int, Answer] = {kind.Save: "save", kind.Discard: "discard"}
-    return answers.get(question.exec(), "cancel")
+    answer = answers.get(question.exec(), "cancel")
+    question.deleteLater()
+    return answer
 
 
 def ask_yes_no(parent: QWidget, title: str, text: str) -> bool:

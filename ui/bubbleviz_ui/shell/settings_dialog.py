@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from PySide6.QtCore import Qt
 from PySide6.QtWidgets import (
     QCheckBox,
     QDialog,
@@ -41,7 +40,6 @@ class SettingsDialog(QDialog):
 
     def __init__(self, parent: QWidget, state: SessionState, undo: UndoRecorder) -> None:
         super().__init__(parent)
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Settings")
         resize_on_screen(self, *SIZE)
         self._state, self._undo = state, undo

@@ -38,7 +38,6 @@ class TextDialog(QDialog):
 
     def __init__(self, parent: QWidget, title: str, copied: str) -> None:
         super().__init__(parent)
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle(title)
         resize_on_screen(self, *SIZE)
         self.text = QPlainTextEdit(readOnly=True)
@@ -139,7 +138,6 @@ class PagesDialog(QDialog):
 
     def __init__(self, parent: QWidget, folder: Path) -> None:
         super().__init__(parent)
-        self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         self.setWindowTitle("Documentation")
         self._files = sorted(folder.rglob("*.md"))
         resize_on_screen(self, *PAGES_SIZE)
