@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU
 
 from bubbleviz.membrane import (
+    Factor,
     Factoriser,
     Gas,
     MembraneMesh,
@@ -413,7 +413,8 @@ class ConstantTension(Bubble):
         self.held_pressure_pa = tension_n_per_m * mean_curvature(mesh)
         self._stiffness = self.stiffness()
         varied = stiffness_error * self._stiffness if stiffness_error else None
-        factor = symmetric_lu(self._stiffness[mesh.free][:, mesh.free].tocsc())
+        lu = symmetric_lu(self._stiffness[mesh.free][:, mesh.free].tocsc())
+        factor = Factor(lu, np.arange(lu.shape[0]))
         self._tangents = {
             with_gas: NormalTangent(mesh, factor, gas.beta if with_gas else None, varied)
             for with_gas in (False, True)
@@ -453,7 +454,7 @@ class NormalTangent(Tangent):
     Parameters
     ----------
     mesh : MembraneMesh
-    factor : SuperLU
+    factor : Factor
         Of γ0 L on the free nodes.
     beta : (n,) array or None
         Gas stiffness −∂p_v/∂u, Pa/m; None where the gas pressure is measured.
@@ -464,7 +465,7 @@ class NormalTangent(Tangent):
     def __init__(
         self,
         mesh: MembraneMesh,
-        factor: SuperLU,
+        factor: Factor,
         beta: np.ndarray | None,
         varied: sparse.csr_array | None = None,
     ) -> None:

@@ -1,5 +1,10 @@
 """Factorised tangents and their blocks against dense matrices."""
 
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import sparse
@@ -49,6 +54,28 @@ def test_solutions_equal_those_of_the_dense_matrix(matrix):
     skew.data = skew.data * rng.uniform(0.9, 1.1, len(skew.data))
     other = Factoriser(matrix).factor(skew.data)
     np.testing.assert_allclose(skew.toarray().T @ other.solve(one, transposed=True), one, atol=1e-9)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the memory of the process in /proc")
+def test_factors_dropped_in_another_thread_return_their_memory():
+    """SciPy would keep it (scipy#15921): 4 MB of each of these."""
+    line = sparse.diags_array([-1.0, 2.1, -1.0], offsets=[-1, 0, 1], shape=(40, 40))
+    grid = sparse.kron(sparse.eye_array(40), line) + sparse.kron(line, sparse.eye_array(40))
+    matrix = sparse.csc_array(sparse.kron(grid, np.eye(3) + 0.1))
+    matrix.sort_indices()
+    factoriser, right = Factoriser(matrix), np.ones(matrix.shape[0])
+    with ThreadPoolExecutor(1) as thread:
+        before = resident_bytes()
+        for _ in range(20):
+            factor = thread.submit(factoriser.factor, matrix.data).result()
+            np.testing.assert_allclose(matrix @ factor.solve(right), right)
+            del factor
+        assert resident_bytes() - before < 30e6
+
+
+def resident_bytes():
+    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
 
 @pytest.mark.parametrize("count", [1, 2])
