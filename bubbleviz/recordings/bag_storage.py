@@ -80,7 +80,7 @@ class LazyChunk:
             )
         self.size = size
         self._packed, self._piece = packed, _FIRST_PIECE
-        self._inflater = _DECOMPRESSORS[codec]()
+        self._inflater: Any = _DECOMPRESSORS[codec]()  # None: all is there
         self._crc = crc
         self._out = bytearray()
         self._at = 0
@@ -102,13 +102,13 @@ class LazyChunk:
         return part
 
     def _fill(self, stop: int) -> None:
-        while len(self._out) < stop and not self._inflater.eof:
+        while self._inflater is not None and len(self._out) < stop:
             piece = self._packed.read(self._piece) if self._inflater.needs_input else b""
             self._piece *= 4 if piece else 1
             got = self._inflater.decompress(piece, stop - len(self._out))
             self._out += got
-            if not (piece or got):  # cut short
-                break
+            if self._inflater.eof or len(self._out) == self.size or not (piece or got):  # cut short
+                self._inflater = None  # that of zstd keeps as much as the chunk
         if self._crc and len(self._out) == self.size and zlib.crc32(self._out) != self._crc:
             raise ValueError("a chunk's checksum does not match")
 

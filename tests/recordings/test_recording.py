@@ -1,5 +1,7 @@
 """Recordings written by another program are read correctly."""
 
+import io
+
 import numpy as np
 import psutil
 import pytest
@@ -247,6 +249,19 @@ def test_reading_one_frame_does_not_decompress_the_others(tmp_path, monkeypatch)
         inflated[0] = 0
         recording[13]
         assert inflated[0] < 1.2 * image
+
+
+def test_a_chunk_read_to_its_end_keeps_no_buffers_of_its_decompressor():
+    """Which for a zstd frame of that window are as large as the chunk."""
+    size, number = 8 << 20, 6
+    options = {chunks.zstd.CompressionParameter.window_log: 24}
+    packed = chunks.zstd.compress(np.random.default_rng(0).bytes(size), options=options)
+    before, kept = psutil.Process().memory_info().rss, []
+    for _ in range(number):
+        part = chunks.FilePart(io.BytesIO(packed), 0, len(packed))
+        kept.append(chunks.LazyChunk(part, "zstd", size=size))
+        assert len(kept[-1].read(size)) == size
+    assert psutil.Process().memory_info().rss - before < 2 * number * size
 
 
 def test_a_long_recording_with_stamps_equal_to_log_times_reads_few_headers(tmp_path, monkeypatch):
