@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -132,6 +133,10 @@ def _undistort(
 # A depth camera in the bubble frame: z-depth images, range images and points.
 
 
+_DIRECTIONS = WeakValueDictionary[tuple[Intrinsics, bytes], np.ndarray]()
+"""Rays by intrinsics and rotation: every model of a sensor has a camera, and 7 MB of them."""
+
+
 class DepthCamera:
     """Intrinsics with the camera's pose in the bubble frame B."""
 
@@ -154,7 +159,7 @@ class DepthCamera:
         T_B_C = self.T_B_C.copy()
         T_B_C[:3, 3] += shift_m
         moved = DepthCamera(self.intrinsics, T_B_C)
-        moved.directions, moved.range_per_depth = self.directions, self.range_per_depth
+        moved.range_per_depth = self.range_per_depth
         return moved
 
     @property
@@ -165,7 +170,12 @@ class DepthCamera:
     @cached_property
     def directions(self) -> np.ndarray:
         """Unit rays r̂ in B, row-major over pixels, shape (H·W, 3)."""
-        return self.intrinsics.rays().reshape(-1, 3) @ self.T_B_C[:3, :3].T
+        turn = self.T_B_C[:3, :3]
+        key = self.intrinsics, turn.tobytes()
+        directions = _DIRECTIONS.get(key)
+        if directions is None:
+            _DIRECTIONS[key] = directions = self.intrinsics.rays().reshape(-1, 3) @ turn.T
+        return directions
 
     @cached_property
     def range_per_depth(self) -> np.ndarray:

@@ -83,11 +83,9 @@ class RayCaster:
         self._indices = np.ascontiguousarray(triangles, np.uint32)
 
     @cached_property
-    def _rays(self) -> np.ndarray:
-        """Nodes are moved by −origin before conversion to single precision: rays start at zero."""
-        rays = np.zeros((len(self.directions), 6), np.float32)
-        rays[:, 3:] = self.directions
-        return rays
+    def _single(self) -> np.ndarray:
+        """Directions in single precision."""
+        return self.directions.astype(np.float32)
 
     def cast(
         self,
@@ -114,14 +112,16 @@ class RayCaster:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
         local = nodes - self.origin
         faces, some = faces_from(local, self.triangles), slice(None) if rays is None else rays
+        ray = self._single[some]
         if self._is_unoccluded(local, faces, some):
-            single, ray = faces.astype(np.float32), self._rays[some, 3:]
+            single = faces.astype(np.float32)
             if near is None:
                 there, arrived = self._walked_to(single, ray)
             else:
                 there, arrived = self._walked(single, ray, np.maximum(near, 0), len(faces))
             return np.where(arrived, there, -1)
-        found = TriangleScene(local, self._indices).cast(self._rays[some])
+        # nodes are moved by −origin before single precision sees them: all rays start at zero
+        found = TriangleScene(local, self._indices).cast(np.hstack([np.zeros_like(ray), ray]))
         return np.where(np.isfinite(found.distance), found.triangle, -1)
 
     def _is_unoccluded(
@@ -169,7 +169,7 @@ class RayCaster:
         """
         faces, facet, offset = self._facets(nodes)
         single = faces.astype(np.float32)
-        there, arrived = self._walked(single, self._rays[rays, 3:], triangle, _LONG_WALK)
+        there, arrived = self._walked(single, self._single[rays], triangle, _LONG_WALK)
         along = np.einsum("rj,rj->r", facet.take(there, axis=0), self.directions.take(rays, axis=0))
         return np.where(arrived, offset[there] / along, np.nan)
 
@@ -208,7 +208,7 @@ class RayCaster:
         """
         facets = self._facets(nodes)
         single = facets.faces.astype(np.float32)
-        there, _ = self._walked(single, self._rays[hits.ray, 3:], hits.triangle, _WALK)
+        there, _ = self._walked(single, self._single[hits.ray], hits.triangle, _WALK)
         return self._hits_on_planes(facets, hits.ray, there)
 
     def slopes(self, nodes: np.ndarray, hits: Hits) -> np.ndarray:

@@ -82,3 +82,13 @@ def test_points_lie_at_their_depth_along_the_optical_axis():
     ranges = depth_camera.range_image(depth)
     assert np.linalg.norm(points - T[:3, 3], axis=1) == pytest.approx(ranges.ravel(), abs=1e-6)
     assert depth_camera.depth_image(ranges) == pytest.approx(depth, abs=1e-7)
+
+
+def test_cameras_of_the_same_rays_share_them():
+    """Every model of a sensor has a camera, and these rays are its largest array."""
+    T = np.eye(4)
+    first, second = (DepthCamera(camera("plumb_bob", D405), T) for _ in range(2))
+    turned = DepthCamera(camera("plumb_bob", D405), np.diag([-1.0, -1.0, 1.0, 1.0]))
+    assert np.shares_memory(first.directions, second.directions)
+    assert not np.shares_memory(first.directions, turned.directions)
+    np.testing.assert_allclose(turned.directions, first.directions * [-1.0, -1.0, 1.0])
