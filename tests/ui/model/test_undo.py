@@ -1,12 +1,13 @@
 """Undo and redo of the window's settings, by keyboard."""
 
+import gc
 import math
 import shutil
 from dataclasses import fields
 
 import pytest
 from PySide6.QtCore import QPoint, Qt
-from PySide6.QtGui import QKeySequence
+from PySide6.QtGui import QKeySequence, QUndoStack
 from PySide6.QtWidgets import QAbstractButton, QStyle, QStyleOptionSlider
 from window_driver import no_pending_timers
 
@@ -14,8 +15,9 @@ from bubbleviz.files import presets_folder
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz_ui.model import undo as undo_module
 from bubbleviz_ui.model.scene_presets import load_scene
+from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import ComparedSetting, Settings
-from bubbleviz_ui.model.undo import LAYOUT
+from bubbleviz_ui.model.undo import LAYOUT, UndoRecorder, UndoStep
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.shell.theme import NEUTRAL
 
@@ -290,3 +292,16 @@ def test_controls_follow_undo(drive):
         assert sum(a != b for a, b in zip(before, changed, strict=True)) >= 1, name
         driver.undo()
         assert settled() == before, name
+
+
+def test_the_changes_of_a_gesture_are_one_step_and_one_object(qapp):
+    recorder, applied = UndoRecorder(SessionState(), QUndoStack()), []
+    for k in range(100):
+        recorder.push("drag", applied.append, k, k + 1, "a gesture")
+    assert recorder.stack.count() == 1 and applied == [*range(1, 101)]
+    assert sum(isinstance(each, UndoStep) for each in gc.get_objects()) == 1
+    recorder.stack.undo()
+    recorder.stack.redo()
+    assert applied[-2:] == [0, 100]
+    recorder.push("drag", applied.append, 100, 101, "another")
+    assert recorder.stack.count() == 2

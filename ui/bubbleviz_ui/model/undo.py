@@ -20,11 +20,9 @@ GESTURE_S = 0.7
 LAYOUT = frozenset({"panels"})
 """Settings that follow from the open panels, whose change is a step itself."""
 
-_MERGEABLE = 1  # command id: Qt offers commands of the same id to `mergeWith`
-
 
 class UndoStep(QUndoCommand):
-    """A change from `old` to `new` by `apply`; steps of one gesture are merged."""
+    """A change from `old` to `new` by `apply`; all changes of one gesture are one step."""
 
     def __init__(
         self,
@@ -38,18 +36,6 @@ class UndoStep(QUndoCommand):
         super().__init__(text)
         self._history, self.apply = history, apply
         self.old, self.new, self.gesture = old, new, gesture
-
-    def id(self) -> int:
-        """The same for all steps that may be merged."""
-        return -1 if self.gesture is None else _MERGEABLE
-
-    def mergeWith(self, other: QUndoCommand) -> bool:
-        """Merge a later change of the same gesture into this one."""
-        if not isinstance(other, UndoStep) or other.gesture != self.gesture:
-            return False
-        self.new = other.new
-        vars(other).clear()  # Qt deletes it, but its Python object stays
-        return True
 
     def undo(self) -> None:
         """Apply the old value."""
@@ -139,8 +125,15 @@ class UndoRecorder:
     def push(
         self, text: str, apply: Callable[[Any], None], old: Any, new: Any, gesture: Hashable = None
     ) -> None:
-        """Set a value as an undo step of its own."""
-        self.stack.push(UndoStep(self, text, apply, old, new, gesture))
+        """Set a value as an undo step, or as part of the last step if that is of its gesture."""
+        last = self.stack.command(self.stack.index() - 1)
+        goes_on = gesture is not None and not self.stack.canRedo()
+        if goes_on and isinstance(last, UndoStep) and last.gesture == gesture:
+            # not by Qt's `mergeWith`: PySide would keep the Python object of each merged step
+            last.new = new
+            last.redo()
+        else:
+            self.stack.push(UndoStep(self, text, apply, old, new, gesture))
 
     def _update_last(self) -> None:
         for part in self._parts:
