@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bubbleviz.cli.command_line  # noqa: F401
 from bubbleviz_ui.startup_imports import import_the_backend
-from bubbleviz_ui.window_session import Startup, window_session
+from bubbleviz_ui.window_session import Startup, WindowSession
 
 FIRST = "first picture at"
 
@@ -18,9 +18,14 @@ def first_picture(recording: str, sensor: str | None) -> None:
     from bubbleviz.recordings import checked_sensor  # by what was imported just now
 
     _, chosen = checked_sensor(Path(recording), sensor)
-    with window_session(Startup(chosen, Path(recording))) as session:
-        seen: list[float] = []
-        session.window.view.rendered.connect(lambda: seen.append(time.time()))
-        session.window.show()
-        session.wait_for(lambda: bool(seen), "drawing")
-        print(f"{FIRST} {seen[0]}", flush=True)
+    session, seen = WindowSession(), list[float]()
+
+    def note() -> None:
+        if session.controller.result is not None:  # else the membrane at rest
+            seen.append(time.time())
+
+    session.window.view.rendered.connect(note)
+    session.start(Startup(chosen, Path(recording)), None, None, at_once=True)
+    session.wait_for(lambda: bool(seen), "drawing")
+    print(f"{FIRST} {seen[0]}", flush=True)
+    session.close()

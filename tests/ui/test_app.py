@@ -211,7 +211,7 @@ def test_membrane_is_shown_while_the_simulation_is_prepared_and_can_be_closed(qa
     assert "being simulated" in seen[0] and not QApplication.topLevelWidgets()
 
 
-def test_no_window_appears_for_a_recording_that_cannot_be_opened(qapp, tmp_path):
+def test_no_window_stays_for_a_recording_that_cannot_be_opened(qapp, tmp_path):
     with pytest.raises(InputError, match=r"missing\.mcap"):
         run_window(Startup(small_sensor(), tmp_path / "missing.mcap"))
     assert not QApplication.topLevelWidgets()

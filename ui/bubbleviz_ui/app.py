@@ -33,7 +33,7 @@ def run_window(startup: Startup, *, fresh: bool = True) -> int:
     Returns int: Exit code.
 
     Raises InputError: The recording cannot be opened or does not fit the sensor, or the session
-    cannot be read; no window appears.
+    cannot be read; the window is closed.
     """
     if has_display():
         keep_in = None if fresh else _user_file

@@ -111,7 +111,6 @@ class WindowSession:
             source, what = Source.of_recording(*of_recording), ""
         else:
             self.window.scene.show_at_rest(startup.sensor)
-            self._show_at_once()
         opening.open(
             source,
             lambda: startup.sensor,
@@ -120,6 +119,7 @@ class WindowSession:
             playing=startup.frame is None,
             then=ended.append,
         )
+        self._show_at_once()  # what only the first picture needs is made while the solver works
         self.wait_for(lambda: not opening.busy, "opening")
         for failed in filter(None, ended):
             if failed.details:
@@ -254,8 +254,7 @@ def window_session(
     """Session whose window is closed and deleted at the end.
 
     With `keep_in`, the user's last session is read from the file it returns, and this one is saved
-    there. With `at_once`, the window is shown before its source is open, unless that may fail: a
-    recording, a live source.
+    there. With `at_once`, the window is shown before its source is open, unless that is live.
 
     Raises WindowClosedError: It was closed then; InputError: The session cannot be read, or the
     recording cannot be opened, does not fit the sensor, or has no such frame; KeyboardInterrupt: ^C
