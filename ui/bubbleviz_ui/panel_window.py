@@ -148,7 +148,7 @@ class PanelWindow(QMainWindow):
             Calibration(controller, self.undo_recorder), state.units
         )
         self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
-        self.overlay = PoseOverlay(self.view, self.scene, self.pose)
+        self.overlay = PoseOverlay(self.view, self.scene, self.pose.session)
         self.shear = ShearPanel(state, controller)
         self.pair = SensorPair(controller, self.scene, self.view)
         self.second_membrane = SecondMembrane(controller, self.scene, self.view)
@@ -198,7 +198,6 @@ class PanelWindow(QMainWindow):
             worker.close()
         self._memory.close()
         self.undo_stack.clear()  # steps keep references to what they change
-        self.overlay.gizmo.hide()
         self.live_controller.close()
         self.controller.close()
         self.view.close()

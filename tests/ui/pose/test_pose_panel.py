@@ -18,7 +18,6 @@ from window_driver import (
     Driver,
     axes_corner,
     no_pending_timers,
-    screen_point,
     view_texts,
 )
 
@@ -162,36 +161,17 @@ def test_fit_once_from_the_initial_pose_shows_object_and_quality_and_copies_the_
     bench.fit()
     assert bench.result.patch.area_m2 == 0.0
     assert panel.session.pose is None or panel.session.pose.stage_two is None
-    # the initial pose is moved or typed, and reset discards poses
+    # the initial pose is typed, and reset discards poses
     bench.state.change(least_area_m2=Settings().least_area_m2, length_unit="mm")
     bench.key(Qt.Key.Key_F, CTRL | SHIFT)
     bench.wait(lambda: bench.text("state") == "not fitted yet")
-    bench.click(bench.panel.move_in_view)
-    bench.wait_until_shown()
-    gizmo, view = bench.window.overlay.gizmo, bench.window.view
-    assert gizmo.on
-    start = bench.panel.session.start
-    assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn at the initial pose
-    before = start.copy()
-    # the middle of the frustum, which is 40 mm tall
-    at = screen_point(bench, before[:3, 3] + [0.0, 0.0, 0.02])
-    bot = bench.bot
-    bot.mouseMove(view, at)
-    bot.mousePress(view, LEFT, pos=at)
-    for step in range(1, 6):
-        bot.mouseMove(view, at + QPoint(8 * step, 0))
-        bench.wait_until_shown()
-    bot.mouseRelease(view, LEFT, pos=at + QPoint(40, 0))
-    bench.wait_until_shown()
-    moved = bench.panel.session.start
-    assert np.linalg.norm(moved[:3, 3] - before[:3, 3]) > 2e-3
-    assert np.allclose(bench.window.scene.object.T_B_O, moved)
-    bench.click(bench.panel.move_in_view)
-    assert not gizmo.on
     for box, value in zip(panel.start.places, (5.0, 1.0, 38.0), strict=True):
         bench.type(box, f"{value:g}")
     assert not panel.search.isChecked()
     assert np.allclose(panel.session.start[:3, 3], [5e-3, 1e-3, 38e-3], atol=1e-5)
+    bench.wait_until_shown()
+    assert bench.green() > 1_000 and bench.drawn() == GREEN  # drawn at the initial pose
+    assert np.allclose(bench.window.scene.object.T_B_O, panel.session.start)
     bench.fit()
     assert bench.text("state") == FLAT
     place = bench.window.scene.object.T_B_O

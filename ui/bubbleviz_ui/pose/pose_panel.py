@@ -212,11 +212,6 @@ class PosePanel(QWidget):
         self.unit = control(state, "pose_unit")
         self.start = StartBoxes(state.units)
         self.search = QCheckBox("Search pose")
-        self.move_in_view = push_button(
-            "Move in view",
-            "Drag the box in the view: its sides rotate the object, the ball in the middle moves "
-            "it",
-        )
         self.from_here = push_button(
             "Start from here", "Use the pose below as the initial pose", self._start_here
         )
@@ -283,7 +278,6 @@ class PosePanel(QWidget):
         self.object.addItem(FROM_FILE, FROM_FILE)
         self.search.setChecked(True)
         self.search.setToolTip("Search all orientations instead of starting from an initial pose")
-        self.move_in_view.setCheckable(True)
         self.track.setCheckable(True)
         self.patch.setToolTip(LAYERS["object_patch"].tip)
 
@@ -293,7 +287,7 @@ class PosePanel(QWidget):
         column.setSpacing(6)
         for row in (
             (self.object, self.unit),
-            (self.search, self.from_here, self.move_in_view),
+            (self.search, self.from_here),
             (self.start,),
             (self.once, self.track, self.reset),
         ):
@@ -395,14 +389,7 @@ class PosePanel(QWidget):
         idle, has = not session.busy, session.obj is not None
         self.object.setEnabled(idle)
         self.unit.setEnabled(idle)
-        for widget in (
-            self.search,
-            self.start,
-            self.once,
-            self.track,
-            self.reset,
-            self.move_in_view,
-        ):
+        for widget in (self.search, self.start, self.once, self.track, self.reset):
             widget.setEnabled(idle and has)
         self.other.setEnabled(idle)
         self.other.setText(f"{len(session.others)} fit as well: fit the next")
