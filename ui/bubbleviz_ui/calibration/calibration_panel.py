@@ -90,7 +90,6 @@ class CalibrationPanel(QWidget):
         return {
             "picture": self.pixels.picture,
             "frames to collect": collect.count,
-            "precision to collect for": collect.target,
             "frames with contact": collect.contact_free,
         }
 
@@ -158,7 +157,6 @@ class CalibrationPanel(QWidget):
 
     def close_all(self) -> None:
         """Stop the threads and remove temporary files."""
-        self.frames.collect.close_worker()
         self.calibration.close()
         for folder in self._folders:
             folder.cleanup()

@@ -1,14 +1,11 @@
-"""Collection of live frames until there are enough, or γ0 is precise enough."""
+"""Collection of live frames."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
 
 from PySide6.QtWidgets import (
     QCheckBox,
-    QDoubleSpinBox,
     QGroupBox,
     QHBoxLayout,
     QLabel,
@@ -16,24 +13,14 @@ from PySide6.QtWidgets import (
     QVBoxLayout,
 )
 
-from bubbleviz.calibration import Settings, Step
-from bubbleviz.progress import Progress
+from bubbleviz.calibration import Step
 from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.result import Result
-from bubbleviz.sensor import Sensor
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_session import Calibration
 from bubbleviz_ui.engine.solver import Opened
-from bubbleviz_ui.engine.worker import Failed, Worker
-from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell.dock import fill, push_button
 
-if TYPE_CHECKING:
-    from bubbleviz.calibration import Quantity
-
-
-FIRST_ESTIMATE, ESTIMATE_EVERY = 10, 10
-"""Frames before the first estimate of γ0, and between estimates."""
 NOTHING_OPEN = "Nothing is open: connect again (Ctrl+L) to collect frames."
 NO_FRAMES = {
     "disconnected": "Disconnected: connect again (Ctrl+L) to collect frames.",
@@ -45,20 +32,16 @@ NO_FRAMES = {
 class CollectBox(QGroupBox):
     """Collects the frames of a live source that are shown."""
 
-    def __init__(self, calibration: Calibration, units: Units) -> None:
+    def __init__(self, calibration: Calibration) -> None:
         super().__init__("Live source")
         self._calibration, self._controller = calibration, calibration.controller
-        self._units = units
         self.frames: list[Frame] = []
         self.active = False
-        self._tension: Quantity | None = None  # γ0 so far, N/m
-        self._problem, self._name = "", ""  # Of that estimate; of the source
+        self._name = ""  # Of the source
         self._fits = False  # the sensor in use has matched a contact-free frame
-        self._estimated_at = 0
-        self._worker = Worker("calibration")
-        self.count, self.target = QSpinBox(), QDoubleSpinBox()
+        self.count = QSpinBox()
         self.contact_free = QCheckBox("Skip frames with contact")
-        self.count.setToolTip("Largest number of frames to collect")
+        self.count.setToolTip("Number of frames to collect")
         self.button = push_button(
             "",
             "Collect frames of the live source; they replace those collected before",
@@ -86,39 +69,22 @@ class CollectBox(QGroupBox):
         self.count.setRange(5, 2000)
         self.count.setValue(100)
         self.count.setSuffix(" frames")
-        self.target.setRange(0.0, 20.0)
-        self.target.setSingleStep(0.1)
-        self.target.setSuffix(" %")
-        self.target.setSpecialValueText("never")
-        self.target.setToolTip(
-            "Stop earlier when half of the 95 % interval of γ0, without the error of the gauge "
-            "pressure, is below this share of γ0; lowest value: never"
-        )
         self.contact_free.setChecked(True)
         self.contact_free.setToolTip(
             "Ticked: frames in which the sensor file in use detects contact are not collected. "
             "Unticked: all are collected, and contact-free ones are searched among them"
         )
-        row = fill(QHBoxLayout(), self.count, QLabel("or until γ0 ±"), self.target, 1)
+        row = fill(QHBoxLayout(), self.count, 1)
         buttons = fill(QHBoxLayout(), self.button, self.stop, self.cancel)
         fill(QVBoxLayout(self), row, self.contact_free, buttons, self.message)
-
-    def close_worker(self) -> None:
-        """Stop the thread."""
-        self._worker.cancel()
-        self._worker.close()
 
     def _start(self) -> None:
         if self._controller.sensor is None:
             return
         self._controller.state.set_playing(True)
         self._name, self._fits, self.active = self._calibration.name, False, True
-        self._begin()
+        self.frames = []
         self._show()
-
-    def _begin(self) -> None:
-        self._worker.cancel()
-        self.frames, self._tension, self._estimated_at, self._problem = [], None, 0, ""
 
     def _take(self, result: Result) -> None:
         """Collect the frame of a result, unless it has contact or was collected already."""
@@ -129,7 +95,7 @@ class CollectBox(QGroupBox):
         if status == "no_contact" and not self._fits:
             self._fits = True
             if only_contact_free:
-                self._begin()  # frames before were implausible, perhaps of a deep press
+                self.frames = []  # those before were implausible, perhaps of a deep press
         doubtful = self._fits and status in ("implausible", "not_converged")
         if status == "no_data" or (only_contact_free and (status == "ok" or doubtful)):
             return
@@ -139,9 +105,8 @@ class CollectBox(QGroupBox):
         self.frames.append(frame)
         if len(self.frames) >= self.count.value():
             self._finish()
-            return
-        self._estimate_if_due()
-        self._show()
+        else:
+            self._show()
 
     def _finish(self) -> None:
         """Stop, and calibrate with these frames."""
@@ -155,7 +120,6 @@ class CollectBox(QGroupBox):
             self._calibration.use_collected(frames, settings)
 
     def _cancel(self) -> None:
-        self._worker.cancel()
         self.active, self.frames = False, []
         self._show()
 
@@ -163,25 +127,6 @@ class CollectBox(QGroupBox):
         """Continue with the same source after reconnecting; cancel with another source."""
         if self.active and not opened.facts.is_empty and opened.facts.title != self._name:
             self._cancel()
-        self._show()
-
-    def _estimate_if_due(self) -> None:
-        many, sensor = len(self.frames), self._controller.sensor
-        due = many >= max(FIRST_ESTIMATE, self._estimated_at + ESTIMATE_EVERY)
-        if due and self.target.value() and not self._worker.busy and sensor is not None:
-            self._estimated_at = many
-            frames = HeldFrames(self.frames, self._name)
-            function = partial(_estimate, frames, sensor, self._worker.progress)
-            self._worker.submit(function, self._on_estimate, self._on_failed)
-
-    def _on_failed(self, failed: Failed) -> None:
-        self._problem, self._tension = failed.message, None
-        self._show()
-
-    def _on_estimate(self, tension: Quantity) -> None:
-        self._problem, self._tension = "", tension
-        if tension.half_width <= self._units.share.to_si(self.target.value()) * tension.value:
-            self._finish()
         self._show()
 
     def _show(self) -> None:
@@ -202,20 +147,7 @@ class CollectBox(QGroupBox):
                 collected += "." if kept.name == self._calibration.name else f" from {kept.name}."
             self.message.setText(f"{collected} {why_not}".strip())
             return
-        text, tension = f"{len(self.frames)} of {self.count.value()} frames", self._tension
-        if tension is not None:
-            share = self._units.share.text(tension.half_width / tension.value)
-            shown = self._units.tension.with_interval(tension.value, tension.half_width)
-            text += f" · γ0 so far {shown} ({share})"
+        text = f"{len(self.frames)} of {self.count.value()} frames"
         if kept is not None:
             text += f" · until then the {count_of(len(kept), 'frame')} collected before are in use"
-        self.message.setText(f"{text} {self._problem} {why_not}".strip())
-
-
-def _estimate(frames: HeldFrames, sensor: Sensor, progress: Progress) -> Quantity:
-    from bubbleviz.calibration import Workbench  # not at start
-
-    nodes = sensor.membrane.nodes
-    settings = Settings(last_step=Step.TENSION, ranges=((0, len(frames)),), nodes=nodes)
-    # more frames do not reduce the contribution of the gauge pressure
-    return Workbench(frames, sensor).work(settings, progress).tension_by_shape
+        self.message.setText(f"{text} {why_not}".strip())

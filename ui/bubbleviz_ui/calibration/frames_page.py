@@ -110,7 +110,7 @@ class FramesPage(Page):
             "Discard the ranges and search contact-free frames again",
             lambda: self.set_ranges(None, "Find contact-free frames"),
         )
-        self.collect = CollectBox(calibration, units)
+        self.collect = CollectBox(calibration)
         self._lay_out()
         self.strip.edited.connect(self.set_ranges)
 
