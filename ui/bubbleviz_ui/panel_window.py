@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import fields, replace
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from PySide6.QtCore import QEvent, Qt, QTimer
 from PySide6.QtGui import (
     QCloseEvent,
@@ -367,7 +366,6 @@ class PanelWindow(QMainWindow):
         for text, box in self.calibration.boxes.items():
             self.undo_recorder.watch_box(text, box)
         self.playback.timeline.range_dragged.connect(self._play_range)
-        self.calibration.calibration.painted.connect(self._paint)
         self._rates_timer.timeout.connect(self.show_rates)
         self._rates_timer.start()
         self.view.follow_theme(lambda _: self.scene.apply(self.state.settings))
@@ -464,18 +462,6 @@ class PanelWindow(QMainWindow):
             self.kappa.show_result(result)
             final = self.state.final
             self.status.show_result(result, facts, self.state.history, final=final)
-
-    def _paint(self, points_m: np.ndarray, values_m: np.ndarray) -> None:
-        """Draw coloured points instead of the measured ones until the next frame is shown."""
-        result = self.controller.result
-        if result is None:
-            return
-        self.state.set_playing(False)
-        with self.undo_recorder.unrecorded():
-            layers = self.state.settings.layers | {"cloud"}
-            self.state.change(layers=layers, cloud_colour="residual")
-        painted = replace(result, cloud_m=points_m, cloud_pixels=None, cloud_residual_m=values_m)
-        self.scene.show(painted, self.state.settings)
 
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, SOURCE

@@ -365,7 +365,7 @@ def test_another_inflation_level_is_added_and_undone(bench, tmp_path, monkeypatc
     assert bench.found.pixels.line is None
 
 
-def test_known_press_is_predicted_and_drawn(drive, sensor):
+def test_known_press_is_predicted_and_compared(drive, sensor):
     """Contact-free frames and one pressed frame of the built-in press, whose pose is known."""
     frame, whole = 18, default_press(sensor)
     source = SyntheticSource(sensor, whole.obj, whole.poses[[0] * 16 + [80] * 5], whole.noise)
@@ -384,10 +384,6 @@ def test_known_press_is_predicted_and_drawn(drive, sensor):
     assert found.rms_m < 0.3 * found.untouched_rms_m
     assert page.numbers.text("distance, rms") == f"{1e3 * found.rms_m:.3f} mm"
     assert page.view.image.shape == found.predicted_patch.shape
-    before = bench.pixels()
-    bench.click(page.paint)
-    bench.wait_until_shown()
-    assert np.any(bench.pixels() != before)
     # only a press that confirms the calibration is ticked
     tip = lambda: bench.panel.steps.button(bench.panel.pages.index(page)).toolTip()  # noqa: E731
     assert page.summary.text().startswith("Known press, good") and tip().endswith("done")

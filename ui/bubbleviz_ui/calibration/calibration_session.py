@@ -93,7 +93,6 @@ class Calibration(QObject):
 
     changed = Signal()  # settings or results changed, or computing began or ended
     restarted = Signal()  # another source was opened
-    painted = Signal(object, object)  # points (k, 3) and values (k,), both in m, for the 3-D view
     progressed = Signal(str, float)  # description of the step, and its completed share
 
     def __init__(self, controller: Controller, undo: UndoRecorder) -> None:

@@ -20,7 +20,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.shell.dock import fill, push_button
+from bubbleviz_ui.shell.dock import fill
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
 USED = Unit("", 1.0, 0)
@@ -169,18 +169,13 @@ class SurfacePage(Page):
             self.choice.addItem(name, name)
         self.nodes = QSpinBox(minimum=30, maximum=20_000, singleStep=100)
         self.nodes.setKeyboardTracking(False)
-        self.paint = push_button(
-            "Paint the residual in the 3-D view",
-            "Colour the measured points by measured minus fitted range",
-            self._paint,
-        )
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")
         self.nodes.setToolTip("Number of nodes of the surface mesh")
         self.numbers = NumberForm()
         form = QFormLayout()
         form.addRow("Surface", self.choice)
         form.addRow("Nodes of the mesh", self.nodes)
-        fill(self.column, self.view, form, self.numbers, self.paint, 1)
+        fill(self.column, self.view, form, self.numbers, 1)
         self.choice.activated.connect(
             lambda row: calibration.edit("Choose the surface", surface=self.choice.itemData(row))
         )
@@ -192,7 +187,6 @@ class SurfacePage(Page):
         with QSignalBlocker(self.nodes):
             self.nodes.setValue(settings.nodes)
         surfaces, length = found.surfaces, self.units.fine_length
-        self.paint.setEnabled(surfaces is not None)
         if surfaces is None:
             self.view.show_image("Residual to the surface", None, length, 0.0, 1.0)
             self.numbers.clear()
@@ -220,14 +214,6 @@ class SurfacePage(Page):
             "edge of the measured points above the rim plane",
             units.length.with_interval(surfaces.rim_height_m, 1.96 * surfaces.rim_height_sigma_m),
         )
-
-    def _paint(self) -> None:
-        found = self.calibration.answer.found
-        if found.surfaces is None:
-            return
-        pixels = np.flatnonzero(np.isfinite(found.surfaces.residual_m))
-        points = found.samples.camera.points_at(found.samples.statistics.range_m, pixels)
-        self.calibration.painted.emit(points, found.surfaces.residual_m.ravel()[pixels])
 
 
 # Step 4: γ0 from the Young–Laplace equation, with its interval and local values.

@@ -126,12 +126,6 @@ class ValidationPage(Page):
             "Remove the validation by this press",
             lambda: calibration.edit("Remove the validation", pressed=None),
         )
-        self.paint = push_button(
-            "Paint the distances in the 3-D view",
-            "Colour each measured point by its distance from the predicted membrane, positive "
-            "outside",
-            self._paint,
-        )
         self.obj.setToolTip("Object that was pressed: a preset or a mesh file")
         self.first.setToolTip("First frame in which the object is held still")
         self.last.setToolTip("Last frame in which the object is held still")
@@ -156,7 +150,6 @@ class ValidationPage(Page):
         self.predict.setEnabled(ready)
         self.remove.setEnabled(settings.pressed is not None)
         found = answer.found.validation
-        self.paint.setEnabled(found is not None)
         self.numbers.setVisible(found is not None)
         image = found.distance_m if found is not None else None
         limit = 3.0 * found.rms_m if found is not None else 1e-3
@@ -188,12 +181,6 @@ class ValidationPage(Page):
             last_step=Step.TENSION,
         )
 
-    def _paint(self) -> None:
-        found = self.calibration.answer.found.validation
-        if found is not None:
-            known = np.isfinite(found.distance_m)
-            self.calibration.painted.emit(found.points_m, found.distance_m[known])
-
     def _lay_out(self) -> None:
         self.column.addWidget(self.view)
         form = QFormLayout()
@@ -203,7 +190,7 @@ class ValidationPage(Page):
         form.addRow("Frames", frames)
         self.column.addLayout(form)
         buttons = fill(QHBoxLayout(), self.predict, self.remove)
-        fill(self.column, buttons, self.summary, self.numbers, self.paint, 1)
+        fill(self.column, buttons, self.summary, self.numbers, 1)
         self.pose.setToolTip(
             "T_B_O, the object's pose in B: x y z in m, qx qy qz qw; origin of B: middle of the "
             "rim plane"
