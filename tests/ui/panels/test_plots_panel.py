@@ -200,6 +200,11 @@ def test_only_chosen_plots_are_computed_and_their_contents(drive):
     for k in (0, 20, 40):
         area = finder.find(driver.result.estimate, float(10.0 ** x[k])).area_m2
         assert y[k] == pytest.approx(1e6 * area)
+    drawn = list[object]()
+    panel.plots["kappa"].curve.sigPlotChanged.connect(drawn.append)
+    hover(graphics_view(panel).viewport(), place(panel, "force", 0.1))
+    assert plain(panel, "force").startswith("at ") and not drawn  # the curve is that of the frame
+    QApplication.sendEvent(graphics_view(panel), QEvent(QEvent.Type.Leave))
     # measured and estimated gas pressure
     panel, history = opened(driver, "gas"), driver.state.history.values
     rest_pa = driver.window.controller.sensor.pneumatics.reference_pressure_pa

@@ -150,11 +150,12 @@ class KappaAxisPlot(FramePlot):
     def __init__(self, state: SessionState, controller: Controller, line_width: int = 1) -> None:
         super().__init__("logarithm")
         self._state, self._controller = state, controller
+        self._drawn: Result | None = None
         self.line = self.add_line(bright=True, width=line_width, movable=True)  # At log10 κ
 
     def draw(self, _: object = None) -> None:
         """Move the line to κ without emitting its signals; hide it if κ is automatic."""
-        kappa = self._state.settings.kappa
+        kappa, self._drawn = self._state.settings.kappa, self._controller.result
         self.line.setVisible(kappa is not None)
         if kappa is not None:
             self.line.blockSignals(True)
@@ -162,8 +163,9 @@ class KappaAxisPlot(FramePlot):
             self.line.blockSignals(False)
 
     def show_cursor(self, _: int, __: int | None) -> None:
-        """Draw the frame that is shown."""
-        self.draw()
+        """Draw the frame that is shown, unless only the mouse has moved."""
+        if self._controller.result is not self._drawn:
+            self.draw()
 
     def frame_at(self, _: QPointF) -> int | None:
         """None: there is one frame only."""
