@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,9 +50,9 @@ class FramePlot(Plot):
 
 @dataclass(frozen=True)
 class Trace:
-    """Contents of a plot."""
+    """Contents of a plot over time."""
 
-    title: str
+    name: str  # Of `registry.PLOTS`
     unit: Callable[[Units], Unit]
     curves: dict[str, str]  # Colour by quantity of the history
     labels: tuple[str, ...] = ("",)  # Of the curves; empty for a single one
@@ -64,53 +63,49 @@ class Trace:
     @property
     def titles(self) -> dict[str, str]:
         """Full title of each quantity."""
-        named = zip(self.curves, self.labels, strict=True)
-        return {name: f"{self.title}, {word}" if word else self.title for name, word in named}
+        title, named = PLOTS[self.name].title, zip(self.curves, self.labels, strict=True)
+        return {name: f"{title}, {word}" if word else title for name, word in named}
 
 
-TRACES = MappingProxyType(
-    {
-        "force": Trace(
-            PLOTS["force"].title,
-            lambda u: u.force,
-            {"force_n": BLUE, MEASURED_FORCE: ORANGE},
-            ("", "wrench"),
-            {"force_n": "force_half_width_n"},
-        ),
-        "gas": Trace(
-            PLOTS["gas"].title,
-            lambda u: u.gas_pressure,
-            {"gas_law_pa": BLUE, "gas_measured_pa": ORANGE},
-            ("gas law", "measured"),
-            short="p_v",
-        ),
-        "area": Trace(PLOTS["area"].title, lambda u: u.area, {"area_m2": BLUE}),
-        "center": Trace(
-            PLOTS["center"].title,
-            lambda u: u.length,
-            {"center_x_m": ORANGE, "center_y_m": GREEN, "center_z_m": BLUE},
-            ("x", "y", "z"),
-            short="Centre",
-        ),
-        "residual": Trace(PLOTS["residual"].title, lambda u: u.fine_length, {"residual_m": BLUE}),
-        "solve": Trace(
-            PLOTS["solve"].title,
-            lambda u: u.duration,
-            {"solve_ms": BLUE, "total_ms": ORANGE},
-            ("solver", "total"),
-        ),
-        "shear": Trace(
-            PLOTS["shear"].title,
-            lambda u: u.force,
-            {"shear_normal_n": ORANGE, "shear_tangential_n": BLUE},
-            ("normal", "tangential"),
-            {"shear_tangential_n": "shear_tangential_half_n"},
-            short="Shear",
-        ),
-        "slip": Trace(PLOTS["slip"].title, lambda u: u.share, {"slip_share": BLUE}),
-        "latency": Trace(PLOTS["latency"].title, lambda u: u.duration, {"latency_ms": BLUE}),
-    }
+_TRACES = (
+    Trace(
+        "force",
+        lambda u: u.force,
+        {"force_n": BLUE, MEASURED_FORCE: ORANGE},
+        ("", "wrench"),
+        {"force_n": "force_half_width_n"},
+    ),
+    Trace(
+        "gas",
+        lambda u: u.gas_pressure,
+        {"gas_law_pa": BLUE, "gas_measured_pa": ORANGE},
+        ("gas law", "measured"),
+        short="p_v",
+    ),
+    Trace("area", lambda u: u.area, {"area_m2": BLUE}),
+    Trace(
+        "center",
+        lambda u: u.length,
+        {"center_x_m": ORANGE, "center_y_m": GREEN, "center_z_m": BLUE},
+        ("x", "y", "z"),
+        short="Centre",
+    ),
+    Trace("residual", lambda u: u.fine_length, {"residual_m": BLUE}),
+    Trace(
+        "solve", lambda u: u.duration, {"solve_ms": BLUE, "total_ms": ORANGE}, ("solver", "total")
+    ),
+    Trace(
+        "shear",
+        lambda u: u.force,
+        {"shear_normal_n": ORANGE, "shear_tangential_n": BLUE},
+        ("normal", "tangential"),
+        {"shear_tangential_n": "shear_tangential_half_n"},
+        short="Shear",
+    ),
+    Trace("slip", lambda u: u.share, {"slip_share": BLUE}),
+    Trace("latency", lambda u: u.duration, {"latency_ms": BLUE}),
 )
+TRACES = {trace.name: trace for trace in _TRACES}
 """Plots over time by name."""
 
 
@@ -175,7 +170,7 @@ class TimePlot(FramePlot):
         self.cursor.blockSignals(True)
         self.cursor.setValue(float(facts.times_s[frame]))
         self.cursor.blockSignals(False)
-        title = self.trace.short or self.trace.title
+        title = self.trace.short or PLOTS[self.trace.name].title
         if pointed is not None:
             title = f"at {self._state.units.time.text(float(facts.times_s[pointed]))}"
         self.write(f"{title}: {self._numbers(frame if pointed is None else pointed)}")
