@@ -179,13 +179,12 @@ class Driver:
     def is_checked(self, name):
         return bool(self.window.shortcuts.actions[name].isChecked())
 
-    def drop(self, *paths, on=None):
-        """Drop files on the view, or on another widget."""
+    def drop(self, *paths):
+        """Drop files on the window."""
         data = QMimeData()
         data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
         action = Qt.DropAction.CopyAction
-        widget = self.window.view if on is None else on
-        widget.dropEvent(QDropEvent(QPointF(5, 5), action, data, LEFT, PLAIN))
+        self.window.dropEvent(QDropEvent(QPointF(5, 5), action, data, LEFT, PLAIN))
 
     # -- settings and contents ----------------------------------------------------------------
 

@@ -345,10 +345,10 @@ def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_sma
     flat.write_text("v 0 0 0\nv 0.01 0 0\nv 0.02 0 0\nf 1 2 3\n")
     path = tmp_path / "mine.ply"
     shutil.copy(presets_folder("objects") / "cylinder.ply", path)
-    bench.drop(path, on=bench.panel)
+    bench.drop(path)
     bench.wait(lambda: bench.panel.session.obj is not None)
     assert bench.panel.session.obj.name == "mine"
-    bench.drop(flat, on=bench.panel)
+    bench.drop(flat)
     bench.wait(lambda: "no area" in bench.window.message.label.text())
     bench.wait(lambda: bench.panel.session.obj is None)
     assert not bench.panel.once.isEnabled()
@@ -372,7 +372,7 @@ def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_sma
         assert not panel.track.isChecked() and not bench.state.settings.pose_track
 
     track()
-    bench.drop(flat, on=panel)
+    bench.drop(flat)
     wait_for_nothing()
     bench.wait(lambda: "flat: its triangles have no area" in bench.text("state"))
     track()

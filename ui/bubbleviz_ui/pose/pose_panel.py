@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt, Signal
-from PySide6.QtGui import QDragEnterEvent, QDropEvent, QGuiApplication
+from PySide6.QtGui import QGuiApplication
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
@@ -204,7 +204,6 @@ class PosePanel(QWidget):
 
     def __init__(self, state: SessionState, session: PoseSession) -> None:
         super().__init__()
-        self.setAcceptDrops(True)
         self._state, self.session = state, session
         self.curves = Curves(state.units)
         self.curves.hide()  # until there is a pose
@@ -249,20 +248,6 @@ class PosePanel(QWidget):
         self._redraw = Throttle(self, self._draw_curves, EVERY_MS)
         self._write()
 
-    def dragEnterEvent(self, event: QDragEnterEvent) -> None:
-        """Accept mesh files."""
-        if any(
-            Path(url.toLocalFile()).suffix.lower() in SUFFIXES for url in event.mimeData().urls()
-        ):
-            event.acceptProposedAction()
-
-    def dropEvent(self, event: QDropEvent) -> None:
-        """Use the first mesh file dropped."""
-        paths = [Path(url.toLocalFile()) for url in event.mimeData().urls()]
-        for path in [p for p in paths if p.suffix.lower() in SUFFIXES][:1]:
-            event.acceptProposedAction()
-            self.use_file(path)
-
     def use_file(self, path: Path) -> None:
         """Register the object of a mesh file, in the chosen unit."""
         self.session.choose(str(path.absolute()))
@@ -270,7 +255,7 @@ class PosePanel(QWidget):
     def _fill(self) -> None:
         self.object.setObjectName("pose_object")
         self.object.setToolTip(
-            "Object to register: a preset or a mesh file, which can be dropped here"
+            "Object to register: a preset or a mesh file, which can be dropped on the window"
         )
         self.object.addItem(NONE, None)
         for path in sorted(presets_folder("objects").glob("*.*")):
