@@ -368,14 +368,14 @@ class PanelWindow(QMainWindow):
         self.playback.timeline.range_dragged.connect(self._play_range)
         self._rates_timer.timeout.connect(self.show_rates)
         self._rates_timer.start()
-        self.view.follow_theme(lambda _: self.scene.apply(self.state.settings))
+        self.view.follow_theme(lambda _: self.scene.redraw())
         QApplication.styleHints().colorSchemeChanged.connect(self._use_theme)
         self.state.source_changed.connect(self._on_source)
         self.state.frozen_changed.connect(self._show_title)
         self.state.connection_changed.connect(self._on_connection)
         self.state.follow({"theme"}, lambda: self._use_theme(theme.system_scheme()))
         self.state.follow(UNIT_CHOICES, self._show_units)
-        self.state.follow(DRAWN, lambda: self.scene.apply(self.state.settings))
+        self.state.follow(DRAWN, self.scene.redraw)
         self.state.history_changed.connect(self.scene.follow_scales)
 
     def _play_range(self, frames: tuple[int, int]) -> None:
@@ -450,7 +450,7 @@ class PanelWindow(QMainWindow):
             return
         self.stage_times.take(result)
         start = time.perf_counter()
-        self.scene.show(result, self.state.settings)
+        self.scene.show(result)
         self.view.busy_s += time.perf_counter() - start
         self._write_numbers()
 

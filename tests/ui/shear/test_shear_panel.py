@@ -162,16 +162,17 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     assert driver.result.estimate is not None
     assert driver.pipeline.counts["traction"] == 0 and not panel.copy.isEnabled()
     # arrows, and numbers with intervals
-    settings = replace(driver.state.settings, layers=frozenset({"membrane", "traction"}))
+    driver.state.change(layers=frozenset({"membrane", "traction"}))
+    driver.wait_until_shown()
     layer = driver.window.scene.layers["traction"]
     ways = []
-    driver.window.scene.show(dragged(driver), settings)
+    driver.window.scene.show(dragged(driver))
     for actor in layer.actors:
         points = np.asarray(actor.mapper.GetInput().points)
         assert len(np.unique(points, axis=0)) == 3 * 4 and actor.GetVisibility()
         ways.append(np.linalg.norm(points[1] - points[0]))
     assert ways[0] == pytest.approx(2.0 * ways[1])
-    driver.window.scene.show(replace(dragged(driver), traction=None), settings)
+    driver.window.scene.show(replace(dragged(driver), traction=None))
     assert not any(actor.GetVisibility() for actor in layer.actors)
     # numbers have intervals and remarks
     words = shear_texts(dragged(driver), Units())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any, TypeVar
 
@@ -59,7 +60,7 @@ class DrawnLayers:
         self.by_name = {name: Layer.kinds[name](canvas) for name in LAYERS if name in names}
         for layer in self.by_name.values():
             layer.set_visible(False)  # until there is a result
-        self._picture: Picture | None = None
+        self.picture: Picture | None = None  # Drawn last
         view.rendering.connect(self._update_scale)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
@@ -74,30 +75,30 @@ class DrawnLayers:
     ) -> None:
         """Draw a result, with scales for all frames of its history."""
         self._scales.show(self, history, result)
-        self._draw(result, settings, final=final)
+        self._draw(Picture(result, self._scales.of(settings), settings, final))
 
     def hide(self) -> None:
         """Remove the picture, and its influence on the scales."""
-        self._picture = None
+        self.picture = None
         self._scales.forget(self)
 
     @property
     def rescaled(self) -> bool:
         """Whether another frame or sensor has changed the scales since it was drawn."""
-        drawn = self._picture
+        drawn = self.picture
         return drawn is not None and drawn.ranges != self._scales.of(drawn.settings)
 
     def _update_scale(self) -> None:
-        drawn = self._picture
+        drawn = self.picture
         if drawn is not None and self.rescaled:
-            self._draw(drawn.result, drawn.settings, final=drawn.final)
+            self._draw(replace(drawn, ranges=self._scales.of(drawn.settings)))
 
-    def _draw(self, result: Result, settings: Settings, *, final: bool) -> None:
+    def _draw(self, picture: Picture) -> None:
+        settings, estimate = picture.settings, picture.result.estimate
         on_it = any(each.clipped for name, each in self.by_name.items() if name in settings.layers)
-        if on_it and result.estimate is not None:
-            self.surface.draw(result.estimate, settings.exaggeration)
-        ranges = self._scales.of(settings)
-        self._picture = picture = Picture(result, ranges, settings, final)
+        if on_it and estimate is not None:
+            self.surface.draw(estimate, settings.exaggeration)
+        self.picture = picture
         for name, layer in self.by_name.items():
             layer.set_visible(name in settings.layers)
             if name in settings.layers:
@@ -121,7 +122,6 @@ class Scene:
 
     def __init__(self, view: View, state: SessionState) -> None:
         self._view, self._state = view, state
-        self._settings = state.settings
         self.scales = Scales(state.units)
         self._drawn = DrawnLayers(view, state.units, self.scales)
         self.layers = self._drawn.by_name
@@ -129,7 +129,6 @@ class Scene:
         self.object, self.fit = self._drawn.layer(ObjectLayer), self._drawn.layer(FitLayer)
         self._T_W_B = np.eye(4)
         self._others_m = np.empty((0, 3))
-        self._result: Result | None = None
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
         self._sensor: Sensor | None = None
@@ -147,7 +146,6 @@ class Scene:
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
         """Set another sensor; a camera moved by the user stays if the membrane is as large."""
         before, self._mesh, self._sensor = self._mesh, mesh, sensor
-        self._result = None
         self._bounds = _bounds(mesh, sensor, self._others_m)
         self._drawn.set_sensor(sensor, mesh)
         self.scales.set_sensor(sensor)
@@ -167,8 +165,9 @@ class Scene:
         if self._mesh is None:
             return
         seen, R_B_W = np.vstack([self._mesh.nodes, self._others_m]), self._T_W_B[:3, :3].T
-        towards, up = R_B_W @ self._settings.view_from, R_B_W[:, 2]
-        look_along(self._view, towards, up, seen, self._settings.zoom)
+        settings = self._state.settings
+        towards, up = R_B_W @ settings.view_from, R_B_W[:, 2]
+        look_along(self._view, towards, up, seen, settings.zoom)
         self._placed = self._camera_place()
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -192,12 +191,11 @@ class Scene:
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def show(self, result: Result, settings: Settings) -> None:
+    def show(self, result: Result) -> None:
         """Draw a result."""
-        self._result, self._settings = result, settings
-        self.section.apply(settings)
         state = self._state
-        self._drawn.draw(result, settings, state.history, final=state.final)
+        self.section.apply(state.settings)
+        self._drawn.draw(result, state.settings, state.history, final=state.final)
         # known bounds, as VTK would compute them from every point of every layer
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
@@ -205,24 +203,23 @@ class Scene:
     def show_at_rest(self, sensor: Sensor) -> None:
         """Draw the membrane at rest, before a source is open."""
         self.set_sensor(sensor, build_mesh(sensor))
-        self.show(Result(NO_SOURCE.open(sensor)[0]), self._state.settings)
+        self.show(Result(NO_SOURCE.open(sensor)[0]))
 
     def compare(self, measured: tuple[ComparedResult | str | None, ...]) -> None:
         """Draw the outlines of compared settings while their frame is shown."""
         self._drawn.layer(ComparedLayer).measured = measured
-        self.apply(self._settings)
+        self.redraw()
 
     def set_outdated(self, outdated: bool) -> None:
         """Dim the numbers while the live source sends no new frames."""
         self._drawn.layer(ReadoutLayer).set_outdated(outdated)
         self._view.refresh()
 
-    def apply(self, settings: Settings) -> None:
-        """Redraw the last result with other settings."""
-        self._settings = settings
+    def redraw(self) -> None:
+        """Redraw the last result, with other settings."""
         self._hovered.write()
-        if self._result is not None:
-            self.show(self._result, settings)
+        if self._drawn.picture is not None:
+            self.show(self._drawn.picture.result)
 
     def follow_scales(self) -> None:
         """Redraw if the scales have changed."""
