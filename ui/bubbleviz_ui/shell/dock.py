@@ -394,29 +394,18 @@ class BarLayout(QLayout):
         shown, gap = self._shown(), self.spacing()
         if not shown:
             return []
-        text, controls = shown[0], shown[1:]
-        rest = room - sum(item.sizeHint().width() + gap for item in controls)
+        text, controls = shown[0], [(item, item.sizeHint().width()) for item in shown[1:]]
+        rest = room - sum(width + gap for _, width in controls)
         if rest >= min(text.sizeHint().width(), MIN_TEXT):
-            return [[(text, rest), *((item, item.sizeHint().width()) for item in controls)]]
-        rows, left = list[list[QLayoutItem]](), 0
-        for item in controls:
-            if not rows or left < item.minimumSize().width():
+            return [[(text, rest), *controls]]
+        rows, left = [[(text, room)]], 0
+        for item, width in controls:
+            if left < width:
                 rows.append([])
                 left = room
-            rows[-1].append(item)
-            left -= item.minimumSize().width() + gap
-        return [[(text, room)], *(_widths(row, room - gap * (len(row) - 1)) for row in rows)]
-
-
-def _widths(row: list[QLayoutItem], room: int) -> list[tuple[QLayoutItem, int]]:
-    """Items with their widths: the minimum, and the rest to the first ones up to their hints."""
-    left, sized = room - sum(item.minimumSize().width() for item in row), []
-    for item in row:
-        least = item.minimumSize().width()
-        more = max(min(item.sizeHint().width() - least, left), 0)
-        left -= more
-        sized.append((item, least + more))
-    return sized
+            rows[-1].append((item, width))
+            left -= width + gap
+        return rows
 
 
 def _height(item: QLayoutItem, width: int) -> int:
