@@ -13,7 +13,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QProgressDialog,
-    QScrollArea,
     QStackedWidget,
     QVBoxLayout,
     QWidget,
@@ -32,7 +31,7 @@ from bubbleviz_ui.engine.solver import OpenRequest
 from bubbleviz_ui.model.messages import CALIBRATION
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.dock import fill, push_button
+from bubbleviz_ui.shell.dock import fill, push_button, scrolled
 from bubbleviz_ui.shell.file_dialogs import ask_to_save, name_of_output, new_file, remember_sensor
 from bubbleviz_ui.shell.message_bars import JobProgress, StepButtons, StepState
 
@@ -308,7 +307,9 @@ class CalibrationPanel(QWidget):
         column.setContentsMargins(12, 8, 12, 10)
         self.stack = QStackedWidget()
         for page in self.pages:
-            self.stack.addWidget(_scrolling(page))
+            area = scrolled(page)
+            area.setMinimumHeight(LEAST_HEIGHT)
+            self.stack.addWidget(area)
         self.next.setDefault(True)
         self.save_as.setDefault(True)
         self.verdict.hide()
@@ -317,12 +318,3 @@ class CalibrationPanel(QWidget):
         buttons = fill(QHBoxLayout(), self.back, self.all, *last)
         parts = (self.steps.row, (self.stack, 1), self.verdict)
         fill(column, *parts, working, buttons)
-
-
-def _scrolling(page: Page) -> QScrollArea:
-    area = QScrollArea()
-    area.setWidget(page)
-    area.setWidgetResizable(True)
-    area.setFrameShape(QScrollArea.Shape.NoFrame)
-    area.setMinimumHeight(LEAST_HEIGHT)
-    return area
