@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import fields
 from functools import partial
@@ -325,22 +326,18 @@ class PanelWindow(QMainWindow):
         }
         docks: dict[str, Dock] = {}
         for name, widget in shown.items():
-            kind = PANELS[name]
-            docks[name] = dock = Dock(kind.title, self)
+            kind, sized = PANELS[name], name in ("plots", "images")
+            narrower_than = IMAGES_BESIDE_VIEW if name == "images" else math.inf
+            home = docks.get(kind.tab_of)
+            docks[name] = dock = Dock(kind.title, self, home, narrower_than, sized=sized)
             dock.setObjectName(kind.title)
             dock.setWidget(widget)
             watch_controls(widget)
             self.addDockWidget(SIDES[kind.side or "right"], dock)
-            if kind.tab_of:
-                dock.tab_of(docks[kind.tab_of])
-                dock.maximise_height()
             if not kind.by_default:
                 dock.hide()
             dock.visibilityChanged.connect(partial(self.state.set_panel_open, name))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
-        docks["plots"].open_at_hint_height()
-        docks["images"].open_at_hint_height()
-        docks["images"].tab_of(docks["plots"], narrower_than=IMAGES_BESIDE_VIEW)
         self._share_width()
         self._docks, self.tabs = docks, TabsForRoom(self, list(docks.values()))
         self._fit_width()

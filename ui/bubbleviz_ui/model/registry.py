@@ -117,7 +117,7 @@ class PanelKind:
     title: str  # Of its dock
     needs: Products = NO_PRODUCTS  # Computed only while the panel is in front
     side: Literal["right", "bottom", "left"] | None = "right"  # Initial side; None: not a dock
-    tab_of: str = ""  # Panel to which it is added as a tab
+    tab_of: str = ""  # Panel to which it is added as a tab; images only in a narrow window
     by_default: bool = False  # Open in a new window
 
 
@@ -133,7 +133,7 @@ PANELS: Mapping[str, PanelKind] = MappingProxyType(
         "shear": PanelKind("Shear", frozenset({"traction", "slip"}), tab_of="kappa"),
         "calibration": PanelKind("Calibration", tab_of="layers"),
         "plots": PanelKind("Plots", side="bottom"),
-        "images": PanelKind("Images", side="left"),
+        "images": PanelKind("Images", side="left", tab_of="plots"),
         "playback": PanelKind("Playback", side="bottom", by_default=True),
         "status": PanelKind("Status bar", PATCH, side=None, by_default=True),
     }

@@ -32,36 +32,33 @@ USABLE = 0.6
 
 
 class Dock(QDockWidget):
-    """Dock whose placement as a tab is deferred until it is first shown, of a height that is kept.
+    """Dock of a panel, of a height that is kept, or as a tab of another dock.
 
-    Qt would draw tabs of docks that were never shown.
+    It is placed as a tab when it is first shown: Qt would draw tabs of docks that were never shown.
+
+    `home`: The dock of which it is a tab.
+    `narrower_than`: Only if the window is narrower than this, screen pixels.
+    `sized`: Has the height of the panel's size hint, more or less what the operator dragged. A tab
+    takes the height that other docks of its side do not need.
     """
 
-    placed = False  # Not opened yet: as a tab of `home`
-    _narrower_than: int | None = None
-    _above_hint: int | None = 0
-    _sized = _maximises = _opened = False
-    _hint = 0
+    placed = False  # Not opened yet
     opened_s = 0.0  # When it was opened last, by a monotonic clock
 
-    def __init__(self, title: str, window: QMainWindow) -> None:
+    def __init__(
+        self,
+        title: str,
+        window: QMainWindow,
+        home: Dock | None = None,
+        narrower_than: float = math.inf,
+        *,
+        sized: bool = False,
+    ) -> None:
         super().__init__(title, window)
-        self.home = self
-
-    def open_at_hint_height(self) -> None:
-        """Have the height of the panel's size hint, more or less what the operator dragged."""
-        self._sized = True
-
-    def maximise_height(self) -> None:
-        """When opened, take the height that other docks of its side do not need, or be a tab."""
-        self._maximises = True
-
-    def tab_of(self, home: Dock, narrower_than: int | None = None) -> None:
-        """Open as a tab of another dock the first time.
-
-        `narrower_than`: Only if the window is narrower than this, screen pixels.
-        """
-        self.home, self._narrower_than = home, narrower_than
+        self.home, self._narrower_than = home or self, narrower_than
+        self._sized, self._maximises = sized, home is not None and not sized
+        self._opened, self._hint = False, 0
+        self._above_hint: int | None = 0
 
     def setVisible(self, visible: bool) -> None:
         """Show or hide; open in front of its tabs."""
@@ -69,7 +66,7 @@ class Dock(QDockWidget):
         if not (opened and isinstance(window, QMainWindow)):
             super().setVisible(visible)
             return
-        narrow = window.width() < (self._narrower_than or math.inf)
+        narrow = window.width() < self._narrower_than
         if self.home is not self and narrow and not self.placed:
             window.tabifyDockWidget(self.home, self)
         self._opened = self.placed = True
