@@ -24,8 +24,8 @@ from bubbleviz_ui.model.messages import UserMessage
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, push_button, tool_button
 
-BUSY_AFTER_MS = 400
-"""Delay before the progress bar appears."""
+BUSY_AFTER_MS = 1000
+"""Delay before the progress bar appears; shorter waits need no feedback (Nielsen 1993)."""
 NOTICE_MS = 6000
 """Duration of a notice, enough to read a path and click a button."""
 GAP = 16
