@@ -10,7 +10,7 @@ from threading import Event
 
 import numpy as np
 import pytest
-from fakes import small_sensor
+from fakes import DentSource, record, small_sensor
 from PySide6.QtCore import QTimer
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication
@@ -180,13 +180,16 @@ def test_benchmark_counts_renders():
     assert "median_fps" in done.stdout and "dropped_frames" in done.stdout
 
 
-def test_membrane_is_shown_while_the_simulation_is_prepared_and_can_be_closed(qapp, monkeypatch):
-    prepared, opening = Event(), source.SYNTHETIC.open
-    seen = list[str]()
+@pytest.mark.parametrize("recorded", [False, True], ids=["simulation", "recording"])
+def test_window_is_shown_while_its_source_is_prepared_and_can_be_closed(
+    qapp, monkeypatch, tmp_path, recorded
+):
+    prepared, seen, startup = Event(), list[str](), Startup(small_sensor())
+    opening = source.open_recording if recorded else source.SYNTHETIC.open
 
-    def slowly(sensor):
+    def slowly(*what, **how):
         assert prepared.wait(60.0)
-        return opening(sensor)
+        return opening(*what, **how)
 
     def close():
         for window in QApplication.topLevelWidgets():
@@ -196,19 +199,24 @@ def test_membrane_is_shown_while_the_simulation_is_prepared_and_can_be_closed(qa
                     picture[picture.shape[0] // 2, picture.shape[1] // 2],
                     picture[0, 0],
                 )
-                if np.abs(middle.astype(int) - corner).sum() < 100:
-                    continue  # nothing is drawn yet
+                if not recorded and np.abs(middle.astype(int) - corner).sum() < 100:
+                    continue  # the membrane at rest is not drawn yet
                 seen.append(window.busy.label.text())
                 prepared.set()  # closing waits for the solver
                 window.close()
 
-    monkeypatch.setattr(source, "SYNTHETIC", replace(source.SYNTHETIC, open=slowly))
+    if recorded:
+        startup = Startup(small_sensor(), record(tmp_path / "a.mcap", DentSource(small_sensor())))
+        monkeypatch.setattr(source, "open_recording", slowly)
+    else:
+        monkeypatch.setattr(source, "SYNTHETIC", replace(source.SYNTHETIC, open=slowly))
     timer = QTimer(interval=20)
     timer.timeout.connect(close)
     timer.start()
-    assert run_window(Startup(small_sensor())) == 0
+    assert run_window(startup) == 0
     timer.stop()
-    assert "being simulated" in seen[0] and not QApplication.topLevelWidgets()
+    told = "Opening a.mcap" if recorded else "being simulated"
+    assert told in seen[0] and not QApplication.topLevelWidgets()
 
 
 def test_no_window_stays_for_a_recording_that_cannot_be_opened(qapp, tmp_path):
