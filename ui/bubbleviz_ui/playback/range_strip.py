@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from PySide6.QtCore import QEvent, QRectF, Qt, Signal
-from PySide6.QtGui import QColor, QKeyEvent, QMouseEvent, QPainter, QPaintEvent
+from PySide6.QtCore import QRectF, Qt, Signal
+from PySide6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QApplication,
     QSizePolicy,
@@ -27,25 +27,12 @@ MARGIN = 7
 """Left and right margin, half of a slider's handle, so that frames align with a slider."""
 GRAB_RADIUS = 7
 """Largest distance of a click from a handle, screen pixels."""
-SHIFT_FRAMES = 10
-"""Frames per press of ↑ or ↓."""
-KEYS = {
-    Qt.Key.Key_Left: -1,
-    Qt.Key.Key_Right: 1,
-    Qt.Key.Key_Down: -SHIFT_FRAMES,
-    Qt.Key.Key_Up: SHIFT_FRAMES,
-}
-
 Handle = tuple[int, int]
 """Index of a range, and 0 for its first or 1 for its last frame."""
 
 
 class RangeStrip(QWidget):
-    """Shaded ranges of frames.
-
-    Drag an end to move it; drag over empty frames to add a range. By keyboard: Tab to the strip,
-    Space selects the next end, arrows move it, Delete removes its range.
-    """
+    """Shaded ranges of frames: drag an end to move it, or over empty frames to add a range."""
 
     edited = Signal(object, str)  # New ranges, and a description of the change
 
@@ -54,69 +41,31 @@ class RangeStrip(QWidget):
         self.setObjectName("ranges")
         self.setFixedHeight(HEIGHT)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setMouseTracking(True)
         self.setToolTip(
-            "Contact-free frames. Drag an end to move it, drag elsewhere to add a range. Keys, "
-            "after a click on an end: ← → move it (↑ ↓ by 10), Space next end, Delete removes the "
-            "range"
+            "Contact-free frames. Drag an end to move it, drag elsewhere to add a range"
         )
         self._axis = TimeAxis(np.zeros(0))
         self.ranges: Ranges = ()
-        self._dragged_ranges: Ranges | None = None
-        self._handle: Handle = (0, 1)
-        self._drag_start: int | None = None
+        self._dragged: Ranges | None = None  # While the button is pressed
+        self._grabbed: Handle | None = None  # None: a new range, from `_pressed`
+        self._pressed = 0
 
     def set_ranges(self, axis: TimeAxis, ranges: Ranges) -> None:
         """Show ranges of a source with this time axis."""
-        self._axis, self.ranges, self._dragged_ranges = axis, ranges, None
+        self._axis, self.ranges, self._dragged = axis, ranges, None
         self.update()
 
     def x_at(self, frame: int) -> float:
         """Horizontal position of a frame, screen pixels."""
         return MARGIN + float(self._axis.places[frame]) * (self.width() - 2 * MARGIN)
 
-    def event(self, event: QEvent) -> bool:
-        """Claim the keys that move an end before the playback shortcuts."""
-        if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
-            own = {*KEYS, Qt.Key.Key_Space, Qt.Key.Key_Delete}
-            if event.key() in own and self.ranges:
-                event.accept()
-                return True
-        return super().event(event)
-
-    def keyPressEvent(self, event: QKeyEvent) -> None:
-        """Select or move an end, or remove its range."""
-        key = Qt.Key(event.key())
-        if not self.ranges:
-            super().keyPressEvent(event)
-        elif key in KEYS:
-            number, end = self._valid_handle()
-            frame = self._end(self.ranges, (number, end)) + KEYS[key]
-            self._emit_edited(self._moved(self.ranges, (number, end), frame), "Move a range's end")
-        elif key == Qt.Key.Key_Space:
-            number, end = self._valid_handle()
-            place = (2 * number + end + 1) % (2 * len(self.ranges))
-            self._handle = divmod(place, 2)
-            self.update()
-        elif key == Qt.Key.Key_Delete:
-            number, _ = self._valid_handle()
-            self._emit_edited(
-                tuple(r for k, r in enumerate(self.ranges) if k != number), "Remove a range"
-            )
-        else:
-            super().keyPressEvent(event)
-
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Grab an end, or start a new range."""
-        if event.button() != Qt.MouseButton.LeftButton or not len(self._axis):
-            return
-        handle = self._near(event.position().x())
-        if handle is not None:
-            self._handle, self._dragged_ranges = handle, self.ranges
-            self.setFocus()
-        else:
-            self._drag_start = self._frame(event.position().x())
+        if event.button() == Qt.MouseButton.LeftButton and len(self._axis):
+            x = event.position().x()
+            self._grabbed, self._pressed = self._near(x), self._frame(x)
+            self._dragged = self.ranges
 
     def mouseMoveEvent(self, event: QMouseEvent) -> None:
         """Move the grabbed end, or extend the new range."""
@@ -126,21 +75,16 @@ class RangeStrip(QWidget):
             self.setCursor(
                 Qt.CursorShape.SizeHorCursor if near else Qt.CursorShape.PointingHandCursor
             )
-            return
-        if self._drag_start is not None:
-            first, last = sorted((self._drag_start, self._frame(x)))
-            more = (*self.ranges, (first, last + 1))
-            self._dragged_ranges = as_ranges(frame_numbers(more))
-        elif self._dragged_ranges is not None:
-            self._dragged_ranges = self._moved(self.ranges, self._handle, self._frame(x))
-        self.update()
+        elif self._dragged is not None:
+            self._dragged = self._dragged_to(self._frame(x))
+            self.update()
 
     def mouseReleaseEvent(self, event: QMouseEvent) -> None:
         """Emit the change of a completed drag."""
-        moving, added = self._dragged_ranges, self._drag_start is not None
-        self._dragged_ranges = self._drag_start = None
-        if moving is not None:
-            self._emit_edited(moving, "Add a range" if added else "Move a range's end")
+        dragged, self._dragged = self._dragged, None
+        if dragged is not None and dragged != self.ranges:
+            added = self._grabbed is None
+            self.edited.emit(dragged, "Add a range" if added else "Move a range's end")
         self.update()
 
     def paintEvent(self, event: QPaintEvent) -> None:
@@ -148,52 +92,38 @@ class RangeStrip(QWidget):
         painter = QPainter(self)
         colours = theme.of(self)
         painter.fillRect(QRectF(MARGIN, 6, self.width() - 2 * MARGIN, 4), QColor(colours.field))
-        ranges = self.ranges if self._dragged_ranges is None else self._dragged_ranges
         shade = QColor(theme.FORCE)
-        for number, (start, stop) in enumerate(ranges):
+        shade.setAlpha(110)
+        for start, stop in self.ranges if self._dragged is None else self._dragged:
             left, right = self.x_at(start), self.x_at(stop - 1)
-            shade.setAlpha(110)
             painter.fillRect(QRectF(left, 3, max(right - left, 1.0), 10), shade)
-            for end, x in enumerate((left, right)):
-                selected = self.hasFocus() and self._valid_handle() == (number, end)
-                painter.fillRect(
-                    QRectF(x - 2, 0, 4, HEIGHT), QColor(colours.accent if selected else theme.FORCE)
-                )
+            for x in (left, right):
+                painter.fillRect(QRectF(x - 2, 0, 4, HEIGHT), QColor(theme.FORCE))
         painter.end()
 
     def _frame(self, x: float) -> int:
         return int(self._axis.nearest((x - MARGIN) / max(self.width() - 2 * MARGIN, 1)))
 
     def _near(self, x: float) -> Handle | None:
+        """The end at a position."""
         distances = {
-            (number, end): abs(self.x_at(self._end(self.ranges, (number, end))) - x)
-            for number in range(len(self.ranges))
-            for end in (0, 1)
+            (number, end): abs(self.x_at(frame) - x)
+            for number, (start, stop) in enumerate(self.ranges)
+            for end, frame in enumerate((start, stop - 1))
         }
         nearest = min(distances, key=lambda h: distances[h], default=None)
         return nearest if nearest is not None and distances[nearest] <= GRAB_RADIUS else None
 
-    def _valid_handle(self) -> Handle:
-        number, end = self._handle
-        return min(number, len(self.ranges) - 1), end
-
-    @staticmethod
-    def _end(ranges: Ranges, handle: Handle) -> int:
-        start, stop = ranges[handle[0]]
-        return stop - 1 if handle[1] else start
-
-    def _moved(self, ranges: Ranges, handle: Handle, frame: int) -> Ranges:
-        """Ranges with one end moved, at most to the other end."""
-        number, end = handle
-        frame = min(max(frame, 0), len(self._axis) - 1)
-        start, stop = ranges[number]
-        moved = (start, max(frame, start) + 1) if end else (min(frame, stop - 1), stop)
-        others = tuple(r for k, r in enumerate(ranges) if k != number)
-        return as_ranges(frame_numbers((*others, moved)))
-
-    def _emit_edited(self, ranges: Ranges, what: str) -> None:
-        if ranges != self.ranges:
-            self.edited.emit(ranges, what)
+    def _dragged_to(self, frame: int) -> Ranges:
+        """Ranges with the grabbed end there, at most at the other end, or a new one up to there."""
+        others = list(self.ranges)
+        if self._grabbed is None:
+            first, last = sorted((self._pressed, frame))
+        else:
+            number, end = self._grabbed
+            start, stop = others.pop(number)
+            first, last = (start, max(frame, start)) if end else (min(frame, stop - 1), stop - 1)
+        return as_ranges(frame_numbers((*others, (first, last + 1))))
 
 
 # Statistics of the curves over the range on the timeline.
