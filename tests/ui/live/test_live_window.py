@@ -121,6 +121,11 @@ def test_window_with_live_bar_fits_a_small_screen(open_bench):
         live.wait_for_frames(1)
     assert live.size == size and live.window.live.width() < 400
     check_buttons(live.window, live.window.live)
+    live.trigger("View › Calibration")  # the widest panel
+    live.wait_for_frames(1)
+    assert live.window.width() == 675
+    check_buttons(live.window, live.window.live)
+    live.trigger("View › Calibration")
     # at 1024×700 minus the frame, with all panels, a note and all bars open
     window, size = live.window, (1016, 660)
     window.resize(*size)
