@@ -23,7 +23,7 @@ from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError, check_seconds, given_path
 from bubbleviz.files import pose_numbers, refuse_existing, refuse_input
-from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.inverse import LINEAR, PAPER, EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -49,8 +49,8 @@ SensorName = str | Path | Sensor
 Recorded = Sequence[Frame] | str | Path
 """Frames, or the path of a recording."""
 _LINEAR_MODEL = (
-    "linear, as the sensor file has no prestretch: deep presses into rubber are overstated, "
-    "typically by 24 %"
+    "constant tension (without prestretch in the sensor file, or by --solver): forces on rubber "
+    "are typically 24 % off, too low on stiff domes and too high in deep presses"
 )
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
 """Pixels of the patch are computed on first use, or for a file."""
@@ -193,7 +193,7 @@ def estimate(
             "kappa": kappa,
             "texture": texture,
             "gas_zero": None if zeros.gas is None else zeros.gas.words,
-            "model": _LINEAR_MODEL if pipeline.model.sensor.membrane.prestretch is None else None,
+            "model": _LINEAR_MODEL if pipeline.estimator.solver_name in (LINEAR, PAPER) else None,
         }
         any_depth, equal = False, EqualImages()
         if out is not None:
