@@ -180,6 +180,9 @@ def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):
     assert "file by +50.0 kPa" in window.kappa.doubt.text() and window.kappa.doubt.isVisible()
     assert "implausible" in view_texts(driver) and "no contact" not in view_texts(driver)
     assert any("file by +50.0 kPa" in text for text in view_texts(driver))
+    driver.resize_to_smallest()
+    window.panels["kappa"].raise_()
+    assert window.kappa.force.height() >= window.kappa.force.sizeHint().height()  # not squeezed
     picture = window.playback.timeline.grab().toImage()
     bar = window.playback.timeline
     at = QColor(picture.pixel(round(bar.x_at(PRESSED)) + 3, bar.height() - 11))

@@ -310,9 +310,12 @@ class PanelWindow(QMainWindow):
 
     def _make_docks(self) -> dict[str, QWidget]:
         """Create the docks of all panels except the status bar."""
+        # its numbers stay in view; why they are not trusted, below them, may be scrolled
+        kappa = scrolled(self.kappa)
+        kappa.setMinimumHeight(self.kappa.minimumSizeHint().height())
         shown: dict[str, QWidget] = {
             "layers": scrolled(self.layers),
-            "kappa": self.kappa,
+            "kappa": kappa,
             "threshold": scrolled(self.threshold),
             "compare": scrolled(self.compare),
             "tools": scrolled(self.tools),
