@@ -268,7 +268,7 @@ def listening_warning(options: SessionOptions) -> str:
     if parts[1] == "tls" and given.ca and given.cert:
         who = f"anyone with a certificate signed by {given.ca}"
     text = f"{options.listen} is open to other computers: {who} on the network can connect"
-    text += "; give --login to prevent that" if who == "anybody" else ""
+    text += "; give --login to prevent that" if who == "anyone" else ""
     return text + ("; messages are NOT ENCRYPTED, use tls/" if parts[1] != "tls" else "")
 
 

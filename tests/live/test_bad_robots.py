@@ -84,7 +84,8 @@ def test_warning_for_an_endpoint_open_to_other_computers(small_sensor_file, host
     )
     assert done.exit_code == 0, done.stderr
     assert done.stderr.count("\n") == warned
-    assert done.stderr.count("anyone on the network can connect") == warned
+    remedy = "anyone on the network can connect; give --login to prevent that"
+    assert done.stderr.count(remedy) == warned
     assert done.stderr.count("NOT ENCRYPTED") == warned
 
 
