@@ -193,7 +193,8 @@ def batch(
     sensor : str or path
         Sensor file or preset; `auto`: the preset that fits each recording.
     jobs : int, optional
-        Number of processes; one per processor by default.
+        Number of processes; one per processor by default. Each imports the calling script, whose
+        call must therefore be under `if __name__ == "__main__":`.
     scheduler : str, optional
         Address of a Dask scheduler, such as tcp://10.0.0.5:8786, instead of local processes.
     resume : bool
