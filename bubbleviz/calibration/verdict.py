@@ -126,10 +126,12 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
     if found.shapes_kind and found.prestretch is None:
-        out.append(
-            f"λ is not determined: {found.why_not}. Forces are by constant tension, and their "
-            f"intervals wide: {_LEVELS}."
-        )
+        kept = found.given.membrane.prestretch
+        effect = "Forces are by constant tension, and their intervals wide"
+        if kept is not None:
+            effect = f"λ = {kept:g} in the sensor file is kept, with unknown error"
+        more = _FARTHER if found.shapes_kind == "levels" else _LEVELS
+        out.append(f"λ is not determined: {found.why_not}. {effect}: {more}.")
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:
         out.append(f"Only {frames} contact-free frames: choose or record {_MIN_FRAMES} or more.")

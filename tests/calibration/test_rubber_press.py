@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bubbleviz.calibration import Quantity, collect, collect_press, summary, with_rubber
+from bubbleviz.calibration import Quantity, advice, collect, collect_press, summary, with_rubber
 from bubbleviz.camera import DepthCamera
 from bubbleviz.membrane import (
     EllipsoidalCap,
@@ -19,7 +19,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
-from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor
+from bubbleviz.sensor import Camera, Membrane, Pneumatics, Sensor, changed
 from bubbleviz.simulation import ATMOSPHERE_PA, CAMERA_NOISE, still_frames
 from tests.membrane.domes import pose
 
@@ -212,4 +212,7 @@ def test_press_without_information(pressed):
     kept = with_rubber(found, [], press=wrong)
     assert kept.gauge_candidates is None and kept.prestretch is None
     assert "the gas pressure falls by " in kept.why_not
+    assert any("Forces are by constant tension" in line for line in advice(kept))
+    drawn = replace(kept, given=changed(kept.given, membrane={"prestretch": 1.3}))
+    assert any("λ = 1.3 in the sensor file is kept" in line for line in advice(drawn))
     assert kept.sensor == found.sensor
