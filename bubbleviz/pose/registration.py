@@ -52,6 +52,12 @@ class ContactPoints:
         """Radius around the centre with 95 % of the contact points: noise puts some far away."""
         return float(np.quantile(np.linalg.norm(self.points - self.center, axis=1), 0.95))
 
+    @property
+    def width_m(self) -> float:
+        """Width of a strip as wide as the patch, by its moment of area across its length."""
+        moments = np.cov(self.points.T, aweights=self.areas_m2)
+        return float(np.sqrt(12.0 * max(np.linalg.eigvalsh(moments)[1], 0.0)))
+
 
 def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> ContactPoints | None:
     """Contact points of an estimate, on its finest mesh; None if there are too few for a pose."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from bubbleviz.camera import MembraneView
 from bubbleviz.errors import InputError
@@ -268,3 +269,32 @@ def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):
     apart = motion_between(plain.T_B_O, rectified.T_B_O, truth[:3, 3])
     assert np.linalg.norm(apart[:3]) < 5e-5
     assert np.linalg.norm(apart[3:]) < np.radians(0.2)
+
+
+def test_covariance_holds_for_a_box_that_touches_with_an_edge(sensor):
+    dome = changed(
+        sensor,
+        membrane={"rim_radius_m": 0.043, "height_m": 0.022, "nodes": 1000, "prestretch": 1.07},
+        pneumatics={"gauge_pressure_pa": 3700.0, "chamber_volume_m3": 2e-4},
+        camera={
+            "width": 320, "height": 240, "fx": 224.0, "fy": 224.0, "cx": 159.5, "cy": 119.5,
+            "position_m": (0.0, 0.0, -0.062), "noise_relative": 0.001,
+        },
+    )  # fmt: skip
+    corner = trimesh.creation.icosphere(3, 5e-4).vertices
+    signs = 2.0 * np.array(list(np.ndindex(2, 2, 2))) - 1.0
+    corners = [corner + [5.5e-3, 4.5e-3, 4.5e-3] * sign for sign in signs]
+    hull = trimesh.PointCloud(np.concatenate(corners)).convex_hull
+    box = RigidObject("box", hull.vertices, hull.faces)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("y", 20.0, degrees=True).as_matrix()
+    T[:3, 3] = [-0.001, 0.001, 0.0245]
+    path = np.repeat(T[None], 2, axis=0)
+    source = SyntheticSource(dome, box, path, DepthNoise(absolute_m=1e-4), nodes=6_000)
+    pipeline = Pipeline.of(dome)
+    pipeline.track(box, T)
+    for frame in source:
+        pose = pipeline.process(frame, PRODUCTS).pose
+        assert pose.status == "ok"
+        off = motion_between(T, pose.T_B_O, pose.center_m)
+        assert off @ np.linalg.solve(pose.covariance, off) < chdtri(6, 0.05)
