@@ -181,7 +181,9 @@ _PARALLEL = np.cos(np.radians(45.0))
 
 _AWAY = 0.3  # cosine between the normals of membrane and object beyond which they face the same way
 
-_SLACK_M = 5e-4  # penetration of the estimated membrane at an object's edges, by blur
+_SLACK = 0.155
+"""Penetration of the estimated membrane at an object's edges, by blur, in lengths of the estimate's
+resolution: 0.5 mm for the paper's sensor."""
 
 _EDGE_DEVIATION_M = 2e-3
 """Error of the patch's edge, where membrane without contact is classified as contact."""
@@ -362,7 +364,7 @@ class Registration:
 
     def _free(self, contact: ContactPoints, distance: ObjectDistance) -> _Term:
         """Residuals: the free membrane is not inside the object."""
-        depth = np.minimum(distance.signed_m + _SLACK_M, 0.0)
+        depth = np.minimum(distance.signed_m + _SLACK * self.precision.resolution_m, 0.0)
         used = depth < 0.0
         J = -rows(distance.gradient[used], contact.free[used], contact.center)
         weight = self.precision.per_area * contact.free_areas_m2[used]
