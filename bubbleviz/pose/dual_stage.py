@@ -175,8 +175,8 @@ class Solver:
     ) -> tuple[Motion, np.ndarray] | None:
         """Motion and persistent covariance by the depth image; None if no press is found.
 
-        A contact narrower than a triangle is not tried: the press's flat triangles, 0.2 mm off at
-        an edge of the object, would turn it about that edge by 10° and more.
+        A contact narrower than a triangle is not tried: at an edge of the object the press's flat
+        triangles are 0.2 mm off, and derivatives by turns about it as wrong as they are large.
         """
         if contact.width_m < self._membrane.mesh.edge_length:
             return None
