@@ -324,6 +324,7 @@ def test_window_force_readout_and_panels_fit_a_small_screen(drive):
     driver.show("plots", "pose")
     driver.state.set_range((2, 8))  # with its statistics
     driver.wait_until_shown()
+    window.messages.add("warning", "another")  # so that the bar's controls need a row
     window.messages.add("warning", 20 * "long message ")
     driver.wait(lambda: window.message.isVisible() and window.view.height() < 180)
     driver.wait_until_shown()
@@ -344,6 +345,7 @@ def test_window_force_readout_and_panels_fit_a_small_screen(drive):
         assert driver.size == (675, 427)
     assert seen(window.plots.statistics) > 30 and seen(window.view) > 100
     assert seen(window.message.dismiss) == window.message.dismiss.height()
+    driver.click(window.message.dismiss)
     driver.click(window.message.dismiss)
     driver.wait(lambda: any(t.GetInput().startswith("peak") for t in text_actors(driver)))
     assert window.panels["layers"] in window.tabifiedDockWidgets(window.panels["compare"])
