@@ -52,6 +52,12 @@ def test_slip_of_a_contact_of_few_nodes():
     assert found[-1] is not None and found[-1].share > 2.0 * found[-1].share_sigma
 
 
+def test_no_alarm_while_everything_sticks():
+    found = [slip for slip in slips("puck", 0.005, 10, 10.0) if slip is not None]
+    assert len(found) == 9
+    assert np.mean([slip.share > 0.0 for slip in found]) < 0.05
+
+
 def test_no_alarm_by_errors_of_facets():
     """A ball that turns brings other facets to each place; the flow is better than they are."""
     path, _ = press("sphere", 0.010)
