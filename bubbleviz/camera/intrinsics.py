@@ -175,6 +175,7 @@ class DepthCamera:
         directions = _DIRECTIONS.get(key)
         if directions is None:
             _DIRECTIONS[key] = directions = self.intrinsics.rays().reshape(-1, 3) @ turn.T
+            directions.setflags(write=False)  # cameras share it
         return directions
 
     @cached_property

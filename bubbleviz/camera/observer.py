@@ -208,7 +208,7 @@ class RangeObserver:
         self._sample = self._used.of(self._whole_blocks())
         correlated = 1.0 if pixels is None else pixels.correlated_pixels
         self._noise_m = float(np.median(1.0 / np.sqrt(self._used.precision)))
-        if pixels is not None:  # σ of rounded depth, with that of rounding, which is no dither
+        if pixels is not None:  # measured on rounded depth: rounding errors do not dither it
             self._noise_m = float(np.sqrt(max(self._noise_m**2 - _MILLIMETRE**2 / 12.0, 0.0)))
         apart = max(1.0, correlated / _OUTLIER_PIXELS, len(self.pixel) / _MAX_OUTLIER_PIXELS)
         self._spread = self._used.of(self._every_nth(int(np.sqrt(apart))))
@@ -334,7 +334,8 @@ class RangeObserver:
     def change_noise(self, images: Sequence[Measured], lag: int) -> tuple[float, float]:
         """Noise factor of block means by their changes over `lag` images, and variance of these.
 
-        The variance is relative to that expected; both are medians.
+        The variance is relative to the expected one, as a mean over blocks; both are medians over
+        pairs of images.
         """
         found = []
         for one, other in zip(images[:-lag], images[lag:], strict=True):

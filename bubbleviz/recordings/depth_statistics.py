@@ -292,8 +292,8 @@ def measure_depth(
     share = 1.0 - mean_inflation(temporal) / len(depth)
     variance = sigma**2 / max(share, 1.0 / len(depth))
     if quantum:
-        # Rounding changes that of each pixel by up to q²/4, depending on the depth at rest. Weights
-        # by it would prefer pixels whose rounded depth stays the same if the membrane moves a bit.
+        # Rounding changes the variance of a pixel by up to q²/4, depending on its depth at rest.
+        # Weighted by it, pixels would count most whose rounded depth does not follow small motions.
         usual = np.abs(variance - np.nanmedian(variance)) <= quantum**2 / 4.0
         variance[usual] = variance[usual].mean()
     noise = np.sqrt(np.maximum(variance, quantum**2 / 12.0))
