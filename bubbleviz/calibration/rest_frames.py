@@ -133,7 +133,7 @@ def select_pixels(
     validity, sigma = statistics.validity, statistics.noise_m
     inner = away_from_edges(membrane, 0.5 * statistics.correlation_length_px)
     typical = membrane & np.isfinite(residual_m)
-    fence = upper_fence(sigma[typical], deviations)
+    fence = upper_fence(statistics.scatter_m[typical], deviations)
     middle = float(np.median(residual_m[typical])) if typical.any() else 0.0
     spread = robust_sigma(residual_m[typical])
     # Comparisons with NaN are false: pixels without residual have an earlier reason.
@@ -144,7 +144,7 @@ def select_pixels(
             "false_return": ~membrane,
             "outside_rim": ~np.isfinite(residual_m),
             "edge": ~inner,
-            "unstable": ~(sigma <= fence),
+            "unstable": ~(statistics.scatter_m <= fence),
             "biased": np.abs(residual_m - middle) > deviations * spread,
         }
     mask = np.ones(validity.shape, bool)

@@ -206,6 +206,7 @@ class DepthStatistics:
     # (H, W) float64, mean range along the ray after clipping at 3 σ around the median, m; NaN: no
     # return
     range_m: np.ndarray
+    scatter_m: np.ndarray  # (H, W), that of each pixel and of rounding; shows unstable pixels, m
     # (H, W) float32, standard deviation σ of one frame's range, clipped likewise, corrected for
     # temporal correlation, at least the quantisation's q/√12, m; NaN: no return
     noise_m: np.ndarray
@@ -291,6 +292,7 @@ def measure_depth(
     # of the variance, as the mean of the same samples is removed
     share = 1.0 - mean_inflation(temporal) / len(depth)
     variance = sigma**2 / max(share, 1.0 / len(depth))
+    scatter = np.sqrt(variance + quantum**2 / 12.0)
     if quantum:
         # Rounding changes the variance of a pixel by up to q²/4, depending on its depth at rest.
         # Weighted by it, pixels would count most whose rounded depth does not follow small motions.
@@ -302,6 +304,7 @@ def measure_depth(
         frames=len(depth),
         validity=valid.mean(axis=0, dtype=np.float32),
         range_m=mean * range_per_depth,
+        scatter_m=(scatter * range_per_depth).astype(np.float32),
         noise_m=(noise * range_per_depth).astype(np.float32),
         quantum_m=quantum,
         temporal_correlation=temporal,

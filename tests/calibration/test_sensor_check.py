@@ -254,3 +254,14 @@ def test_the_command_finds_the_frames_itself(sensor, twin, tmp_path):
     lines = output_of(*words).splitlines()
     assert lines[0].startswith("fits") and any(line.startswith("depth offset") for line in lines)
     assert "no contact-free frames" in refusal(*words, "--contact-free", "38:45")
+
+
+@pytest.mark.long  # in short: of the twin, above
+def test_the_real_press(punyo_press):
+    frames = bv.open(punyo_press)
+    rest = [frames[k] for k in range(0, 60, 6)]
+    assert bv.check(rest, "punyo_oval_d405").verdict == "fits"
+    found = bv.check(with_depth(rest, lambda depth: depth + 1.8e-4), "punyo_oval_d405")
+    assert found.verdict == "drifted" and found.force_error_n < 0.1
+    with pytest.raises(InputError, match="no contact-free frames"):
+        bv.check(frames[72:90], "punyo_oval_d405", contact_free=range(18))

@@ -102,7 +102,7 @@ def test_regular_pixels_by_robust_spread_and_chance(frames, usual, limit):
     """Nine tenths of the usual share less 3 √(p (1 − p) / F), at least half of it."""
     validity = np.where(np.arange(100) < 45, 0.1, usual).reshape(10, 10)
     flat, rho = np.zeros((10, 10)), np.ones(1)
-    found = DepthStatistics(frames, validity, flat, flat, 0.0, rho, rho)
+    found = DepthStatistics(frames, validity, flat, flat, flat, 0.0, rho, rho)
     assert found.regular_validity == pytest.approx(limit)
 
 
