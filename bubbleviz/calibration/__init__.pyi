@@ -24,6 +24,7 @@ from .rest_frames import (
     collect as collect,
     frame_numbers as frame_numbers,
     rim_height as rim_height,
+    select_pixels as select_pixels,
 )
 from .rubber_problem import (
     collect_press as collect_press,

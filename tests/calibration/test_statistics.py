@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from bubbleviz.calibration import rim_height
+from bubbleviz.calibration import rim_height, select_pixels
 from bubbleviz.camera import PixelModel, RangeLine
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import (
@@ -129,6 +129,13 @@ def test_noise_of_quantised_depth_does_not_depend_on_the_depth(sigma_m):
     expected = np.hypot(sigma_m, 1e-4 / np.sqrt(12.0))
     np.testing.assert_allclose(np.quantile(noise[1:], [0.01, 0.99]), expected, rtol=0.1)
     assert noise[0] == pytest.approx(4e-4, rel=0.3)
+
+
+def test_pixels_between_two_steps_of_the_depth_are_not_unstable():
+    """Without them, only pixels whose rounded depth does not follow small motions would be left."""
+    found, truth = quantised(1e-5)
+    chosen = select_pixels(found, np.ones(truth.shape, bool), found.range_m - truth)
+    assert chosen.removed["unstable"] == 1  # the first
 
 
 def quantised(sigma_m):
