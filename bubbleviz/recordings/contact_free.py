@@ -97,9 +97,7 @@ def _score(values: np.ndarray) -> np.ndarray:
     values = values[:, np.isfinite(values).all(axis=0)]
     if values.shape[1] == 0:
         return np.zeros(len(values))
-    lag = min(LAG, len(values) - 1)
-    differences = values[lag:] - values[:-lag]
-    sigma = MAD_TO_SIGMA * np.median(np.abs(differences), axis=0) / np.sqrt(2.0)
+    sigma = _sigma_at_rest(values)
     typical = float(np.median(sigma))
     # Quantised columns may never change at all: their spread is at least the typical one, and
     # never below the numerical resolution.
@@ -114,6 +112,23 @@ def _score(values: np.ndarray) -> np.ndarray:
             break
         end = found
     return score
+
+
+def _sigma_at_rest(values: np.ndarray) -> np.ndarray:
+    """Standard deviation of each column (K,) of values (F, K) at rest.
+
+    By differences over `LAG` frames, of which half may be of contact. Of the first F, F/2, F/4 …
+    frames, those that differ least: contact may fill most of a recording, but not its beginning.
+    """
+    least, quietest, count = np.inf, values, len(values)
+    while least == np.inf or count >= 4 * LAG:
+        lag = min(LAG, count - 1)
+        differences = np.abs(values[lag:count] - values[: count - lag])
+        usual = float(np.median(differences.mean(axis=1)))
+        if usual < least:
+            least, quietest = usual, differences
+        count //= 2
+    return MAD_TO_SIGMA * np.median(quietest, axis=0) / np.sqrt(2.0)
 
 
 def _first_change(score: np.ndarray) -> int:

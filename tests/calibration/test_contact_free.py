@@ -1,5 +1,7 @@
 """The contact-free frames at the start of a recording: what ends them, and when."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import trim_mean
@@ -46,6 +48,21 @@ def test_contact_free_range_ends_at_the_first_change(source, end, ended_by):
     assert found.ended_by == ended_by
     assert (found.pressure_score is None) is (source[0].gas_pressure_pa is None)
     assert found.depth_score[:5].max() < 6.0
+
+
+def test_contact_may_move_in_most_of_a_recording():
+    """In three quarters of the frames everything changes, by 1 mm and 30 Pa."""
+    source, rng = plane(), np.random.default_rng(1)
+    moving = [
+        replace(
+            frame,
+            depth_m=frame.depth_m - 1e-3 * rng.uniform(),
+            gas_pressure_pa=frame.gas_pressure_pa + 30.0 * rng.uniform(),
+        )
+        for frame in (source[k] for k in range(20, FRAMES))
+    ]
+    frames = find_contact_free(HeldFrames([*(source[k] for k in range(20)), *moving])).frames
+    assert 18 <= frames.stop <= 20
 
 
 def test_a_recording_that_begins_with_a_contact_is_refused():
