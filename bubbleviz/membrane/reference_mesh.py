@@ -167,14 +167,12 @@ def varied_rubber(
 def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
     """Relative standard deviation of the stiffness of a sensor as a membrane of constant tension.
 
-    From the errors of γ0 and of the gauge pressure and, if the sensor is calibrated or has a
-    pre-stretch, so is rubber, from the difference between rubber and constant tension.
+    From the errors of γ0 and of the gauge pressure, and the difference between rubber and constant
+    tension.
     """
     tension, gauge = _deviations(sensor, tension_n_per_m)
-    is_rubber = sensor.calibration is not None or sensor.membrane.prestretch is not None
-    rubber = _CONSTANT_TENSION_ERROR if is_rubber else 0.0
     by_gauge = gauge / sensor.pneumatics.gauge_pressure_pa
-    return float(np.linalg.norm([tension / tension_n_per_m, by_gauge, rubber]))
+    return float(np.linalg.norm([tension / tension_n_per_m, by_gauge, _CONSTANT_TENSION_ERROR]))
 
 
 def _deviations(sensor: Sensor, tension_n_per_m: float) -> tuple[float, float]:

@@ -32,7 +32,14 @@ def test_interval_holds_the_force_without_prestretch(dome, deviations, tmp_path)
     sensor = changed(dome_sensor(DOME_CAMERA), pneumatics=pneumatics)
     rest = dome_images(dome, at_rest(dome["rest_m"], 10), GAUGE_PA)
     bv.identify(rest, sensor, contact_free=range(10), nodes=500).save(tmp_path / "dome.toml")
-    pipeline = Pipeline.of(load_sensor(tmp_path / "dome.toml"))
+    _assert_inside(dome, Pipeline.of(load_sensor(tmp_path / "dome.toml")))
+
+
+def test_interval_holds_the_force_by_a_file_that_was_never_calibrated(dome):
+    _assert_inside(dome, Pipeline.of(dome_sensor(DOME_CAMERA)))
+
+
+def _assert_inside(dome, pipeline):
     chosen = {name: dome[name][::3] for name in ("nodes_m", "gauge_pressure_pa", "force_n")}
     images = dome_images(dome, chosen["nodes_m"], chosen["gauge_pressure_pa"], 1e-4, 2)
     for image, force in zip(images, chosen["force_n"], strict=True):
