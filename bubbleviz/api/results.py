@@ -502,7 +502,11 @@ class Run(Sequence[FrameResult], Summary):
 
     def facts(self) -> dict[str, Any]:
         """Context and statistics of the frames, or of the poses if an object was tracked."""
-        found = pose_statistics(self.poses) if self.poses else statistics(self.rows())
+        found = (
+            pose_statistics(self.poses)
+            if self.poses
+            else statistics(self.rows(), self._numbers.half_widths_n)
+        )
         most_frequent = next((text for text, _ in self._failures.most_common(1)), None)
         return self.context | found | {"failure": most_frequent}
 

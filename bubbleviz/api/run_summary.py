@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,8 @@ from bubbleviz.wording import counted
 _LINES = {
     "failure": "why     {}",
     "fit": "fit     {} (medians)",
-    "median_contact_force_n": "force   {:.3g} N median in contact, {max_force_n:.3g} N highest",
+    "median_contact_force_n": "force   {:.3g}{plus_minus} N median in contact, "
+    "{max_force_n:.3g} N highest",
     "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench sensor, "
     "minus its bias without contact",
     "gas_zero": "{}",
@@ -30,7 +32,10 @@ _LINES = {
 """Lines of a summary, by the fact that each requires."""
 
 
-def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def statistics(
+    rows: Sequence[dict[str, Any]],
+    half_widths_n: Sequence[float],  # of the 95 % interval of each force
+) -> dict[str, Any]:
     """Statistics of frames; None if no frame has the value.
 
     Run times in ms are over all frames but the first, depth image in → patch out; `solve_ms` is of
@@ -38,7 +43,8 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     the wrench minus its contact-free bias.
     """
     known = [row for row in rows if row["status"] in TRUSTED]
-    touching = [row for row in rows if row["patch_area_m2"] > 0.0]
+    touches = [row["patch_area_m2"] > 0.0 for row in rows]
+    touching = list(compress(rows, touches))
     warm = rows[1:]
     traction = Counter(row["traction_status"] for row in rows if "traction_status" in row)
     force = _over(known, "force_n")
@@ -53,6 +59,7 @@ def statistics(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "median_solve_ms": _known(np.median, _over(warm, "solve_ms")),
         "rms_force_n": _known(lambda sizes: np.sqrt(np.mean(np.square(sizes))), force),
         "median_contact_force_n": _known(np.median, _over(touching, "force_n")),
+        "median_contact_half_width_n": _known(np.median, [*compress(half_widths_n, touches)]),
         "max_force_n": _known(np.max, force),
         "median_contact_measured_force_n": _known(np.median, _over(touching, "measured_force_n")),
         "median_residual_rms_m": _known(np.median, _over(known, "residual_rms_m")),
@@ -82,7 +89,9 @@ def pose_statistics(rows: Sequence[PoseRow]) -> dict[str, Any]:
 
 def text_of(facts: dict[str, Any]) -> str:
     """Text for the terminal of the facts of a run."""
-    facts = {"end": "patch out, without the first frame"} | facts
+    half_n = facts.get("median_contact_half_width_n")
+    plus_minus = "" if half_n is None else f" ± {half_n:.2g}"
+    facts = {"end": "patch out, without the first frame", "plus_minus": plus_minus} | facts
     facts |= _pose_texts(facts)
     if facts.get("traction_status"):
         facts["shear"] = counted(facts["traction_status"])

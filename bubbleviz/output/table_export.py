@@ -57,6 +57,11 @@ class FrameTable:
         self._rows.append(row)
         self._more.append(more | dict(pose or {}))
 
+    @property
+    def half_widths_n(self) -> list[float]:
+        """Half of the 95 % interval of each force, N."""
+        return [more["force_magnitude_half_width_n"] for more in self._more]
+
     def rows(self) -> list[dict[str, Any]]:
         """Values of each frame by key of RESULT.npz. Raises InputError: no frames."""
         if not self._rows:

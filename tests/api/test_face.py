@@ -337,6 +337,8 @@ def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
         update={"folder": Path(), "file": ""}
     )
     assert got.facts()["max_force_n"] == estimated.facts()["max_force_n"]
+    force, half = got[2].force_magnitude_n, got[2].force_magnitude_half_width_n
+    assert f"{force:.3g} ± {half:.2g} N median in contact" in got[2:3].to_text()
 
 
 @pytest.mark.parametrize("key", ["force_n", "seen_share", "displacement_3d_m", "patch_mask"])

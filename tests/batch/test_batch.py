@@ -151,7 +151,7 @@ def test_frame_to_inspect_is_an_untrusted_one():
         "kkt_residual": [0, nan, nan, 0],
     }
     rows = [dict(zip(values, each, strict=True)) for each in zip(*values.values(), strict=True)]
-    row = BatchRow.of("r", rows, statistics(rows) | {"sensor": "s"})
+    row = BatchRow.of("r", rows, statistics(rows, [0.1, nan, nan, 0.0]) | {"sensor": "s"})
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
     assert (row.max_force_n, row.median_contact_force_n, row.median_total_ms) == (5.0, 5.0, 3.0)
     assert (row.median_contact_measured_force_n, row.sensor) == (4.0, "s")
