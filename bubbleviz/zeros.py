@@ -28,7 +28,9 @@ MIN_FRAMES = 3
 """Fewest consecutive contact-free frames for the zero of a recording: a single one may be a failed
 image."""
 WRENCH_FRAMES = 100  # contact-free frames for the bias of a wrench sensor, which is their median
-_SEARCH_POINTS = 20  # positions in a recording where contact-free frames are searched
+SEARCH_POINTS = 20
+"""Positions in a recording where contact-free frames, or any that fit the sensor file, are
+searched: no stretch of frames that is longer than 1/19 of it is missed."""
 SKIPPED = 6  # live frames after one with contact that are not tested
 _DRIFT_S = 600.0
 """Time after which the errors of the depth image may differ by as much as since the calibration: a
@@ -361,7 +363,7 @@ def _knows_errors(pipeline: Pipeline) -> bool:
 def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Frame]:
     """Longest run of frames without contact that was found, at least `MIN_FRAMES`, or none."""
     longest: list[Frame] = []
-    starts = np.unique(np.linspace(0, len(source) - MIN_FRAMES, _SEARCH_POINTS).astype(int))
+    starts = np.unique(np.linspace(0, len(source) - MIN_FRAMES, SEARCH_POINTS).astype(int))
     for start in starts[starts >= 0]:
         longest = max(longest, _rest_from(source, int(start), pipeline), key=len)
         if len(longest) == ZERO_FRAMES:

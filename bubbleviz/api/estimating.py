@@ -18,6 +18,7 @@ from bubbleviz.api.estimator import (
     refuse_frictionless_shear,
     solved,
 )
+from bubbleviz.api.frame_warnings import NO_FRAME_FITS
 from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
@@ -37,10 +38,10 @@ from bubbleviz.recordings import (
     has_returns,
     shown_name,
 )
-from bubbleviz.result import TRUSTED, Pose, PoseStatus
+from bubbleviz.result import TRUSTED, Estimate, Pose, PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
-from bubbleviz.zeros import Zeros, zeros_of
+from bubbleviz.zeros import SEARCH_POINTS, Zeros, zeros_of
 
 if TYPE_CHECKING:
     from bubbleviz.live import LiveStream
@@ -200,7 +201,7 @@ def estimate(
             products |= {"pixel_mask"}
         with run.files(out, csv, overwrite=overwrite, frames=len(chosen)) as write:
             frame_solver = FrameSolver(pipeline, products, options, zeros)
-            for result in solved(chosen, frame_solver, progress):
+            for result in _results(chosen, frame_solver, progress):
                 equal.take(result.frame.depth_m)
                 any_depth = any_depth or has_returns(result.frame.depth_m)
                 write(result)
@@ -316,7 +317,7 @@ def track(
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zeros=zeros)
         others: str | None = None
-        for result in solved(chosen, frame_solver, progress):
+        for result in _results(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
             if others is None and result.pose is not None and result.pose.status == "ok":
                 others = _other_poses(result.frame.index, result.pose)
@@ -448,14 +449,35 @@ def _new_run(
     context = {
         "recording": shown_name(frames.source),
         "sensor": sensor_name,
+def _results(frames: Frames, solver: FrameSolver, progress: Progress) -> Iterator[Result]:
+    """Results of frames in order.
+
+    A frame that does not fit the sensor file may take seconds. If the first one does not, frames
+    spread over all of them are tried before the next.
+
+    Raises InputError: none of them fits either, or a frame cannot be read.
+    """
+    spread = np.unique(np.linspace(0, len(frames) - 1, SEARCH_POINTS).astype(int))
+    for count, result in enumerate(solved(frames, solver, progress)):
+        if not count and len(spread) < len(frames) and _is_implausible(result.estimate):
+            others = (solver.zeros.applied(frames[k]) for k in spread[1:])
+            if all(_is_implausible(solver.pipeline.estimate_once(each)) for each in others):
+                tried = f"{len(spread)} of {len(frames):,} frames were tried"
+                raise InputError(f"{shown_name(frames.source)}: {NO_FRAME_FITS} ({tried})")
+        yield result
+
+
+def _is_implausible(estimate: Estimate | None) -> bool:
+    return estimate is not None and estimate.status == "implausible"
+
+
         "out": None if out is None else str(out),
     }
     return zeros, Run(pipeline.model, context, provenance)
 
 
 _NO_ESTIMATE = {
-    "implausible": "no frame looks like the membrane of this sensor; choose the sensor file of "
-    "this camera, and check the gas pressure and the unit of depth (m in 32FC1, mm in 16UC1)",
+    "implausible": NO_FRAME_FITS,
     "not_converged": "no frame could be solved; try another --solver, and check tension and "
     "prestretch in the sensor file",
     "no_depth": "no valid depth in any frame; uncover or restart the camera, and record again",

@@ -14,6 +14,10 @@ from bubbleviz.result import Result
 from bubbleviz.wording import count_of
 from bubbleviz.zeros import Zeros, camera_moved
 
+NO_FRAME_FITS = (
+    "no frame looks like the membrane of this sensor; choose the sensor file of this camera, and "
+    "check the gas pressure and the unit of depth (m in 32FC1, mm in 16UC1)"
+)
 _DRIFT_IMAGES = 10_000
 """Most recent images used for the drift warning: five minutes of a stream."""
 _CHANCE = 0.02  # share of images that contradict their known errors by chance
@@ -74,6 +78,8 @@ class FrameWarnings:
         misfits = self._statuses["implausible"]
         if not misfits or self._statuses["no_contact"]:
             return ""
+        if misfits == self._statuses.total():
+            return NO_FRAME_FITS
         return (
             f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free frame "
             "confirms the file, so forces in the other frames may be wrong: run bubbleviz check "

@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from bubbleviz.api.connecting import sensor_of
 from bubbleviz.api.estimator import Estimator, FrameSolver
+from bubbleviz.api.frame_warnings import NO_FRAME_FITS
 from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_publisher
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary
@@ -36,6 +37,7 @@ from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
 from bubbleviz.wording import counted
+from bubbleviz.zeros import SEARCH_POINTS
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
@@ -54,7 +56,7 @@ class Watcher:
         self.latency = LatencyMeter()
         self.last: Result | None = None
         self._began, self._max_force_n = time.monotonic(), math.nan
-        self._statuses, self._tractions = Counter[str](), Counter[str]()
+        self.statuses, self._tractions = Counter[str](), Counter[str]()
 
     @classmethod
     def on(
@@ -90,7 +92,7 @@ class Watcher:
             return None
         self.last = result = self.solver.solve(frame)
         self.latency.add(frame, time.time_ns())
-        self._statuses[result.solution[0].status] += 1
+        self.statuses[result.solution[0].status] += 1
         if (patch := result.trusted_patch) is not None:
             self._max_force_n = np.fmax(self._max_force_n, np.linalg.norm(patch.force_n))
         if result.traction is not None:
@@ -104,11 +106,11 @@ class Watcher:
 
     def summary(self) -> WatchSummary:
         """Summary of the results so far."""
-        stream, solver, frames = self.stream, self.solver, self._statuses.total()
+        stream, solver, frames = self.stream, self.solver, self.statuses.total()
         latency, zero, texture = self.latency.report(), solver.zeros.gas, solver.texture
         return WatchSummary(
             frames=frames,
-            status=dict(self._statuses),
+            status=dict(self.statuses),
             rate_hz=frames / (time.monotonic() - self._began),
             max_force_n=None if math.isnan(self._max_force_n) else float(self._max_force_n),
             latency_median_s=None if latency is None else latency.median_s,
@@ -263,6 +265,8 @@ def _watch(
             if send.diagnose():
                 newest = _newest(watcher.last, watcher.solver.texture)
                 bar.set_postfix_str(", ".join(filter(None, (*newest, stream.status().text))))
+                if watcher.statuses["implausible"] == watcher.statuses.total() == SEARCH_POINTS:
+                    _warn(f"{stream.name}: {NO_FRAME_FITS}")
     return watcher.summary()
 
 
@@ -288,8 +292,7 @@ def _warn_of_silence(stream: LiveStream, warned: bool) -> bool:
     if silent_s < STOPPED_AFTER_S or stream.ended:
         return False
     if not warned:
-        warning = f"bubbleviz: warning: {stream.silence()}; waiting for the next image"
-        tqdm.write(warning, file=sys.stderr)
+        _warn(f"{stream.silence()}; waiting for the next image")
     return True
 
 
@@ -297,6 +300,10 @@ def _newest(result: Result | None, texture: PassingTexture | None) -> Iterator[s
     """Force or status of the newest frame, and its shear if requested."""
     if result is None or result.estimate is None:
         return
+def _warn(text: str) -> None:
+    tqdm.write(f"bubbleviz: warning: {text}", file=sys.stderr)
+
+
     patch = result.trusted_patch
     yield result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
     if texture is not None:

@@ -4,6 +4,7 @@ import pickle
 import re
 import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -163,6 +164,23 @@ def test_summary_says_that_the_linear_model_is_not_that_of_rubber(frames, sensor
     assert said in estimated.to_text()
     assert said not in bv.estimate(frames[:1], rubber).to_text()
     assert said in bv.estimate(frames[:1], rubber, solver="fast").to_text()
+
+
+def farther(frame, k):
+    """A frame that shows the membrane half as far again from the camera."""
+    return replace(frame, index=k, time_s=k / 30.0, depth_m=np.float32(1.5) * frame.depth_m)
+
+
+def test_a_wrong_sensor_file_is_refused_before_every_frame_is_tried(frames, sensor):
+    bad, begun = [farther(frames[0], k) for k in range(40)], []
+    words = "no frame looks like the membrane .* \\(20 of 40 frames were tried\\)"
+    for solve in (bv.estimate, partial(bv.track, object="cylinder")):
+        with pytest.raises(bv.InputError, match=words):
+            solve(bad, sensor=sensor, progress=lambda *done: begun.append(done))
+    assert not begun
+    some = [*bad[:37], *(replace(frames[0], index=k, time_s=k / 30.0) for k in (37, 38, 39))]
+    run = bv.estimate(some, sensor)
+    assert run.status.tolist() == 37 * ["implausible"] + 3 * ["no_contact"]
 
 
 def test_a_contact_that_the_camera_sees_in_part_gives_a_warning(frames, sensor, estimated):

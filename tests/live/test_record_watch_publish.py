@@ -155,6 +155,18 @@ def test_an_untrusted_estimate_shows_no_force(tmp_path, small_sensor_file):
     assert " N " not in output_of(*words)
 
 
+def test_watch_warns_while_it_runs_that_no_frame_fits(tmp_path, small_sensor_file):
+    path = untouched_recording(tmp_path / "rest.mcap", small_sensor_file, 30, 0.0)
+    with bv.open(path) as frames:
+        farther = (replace(each, depth_m=np.float32(1.5) * each.depth_m) for each in frames)
+        record(tmp_path / "rec.mcap", farther)
+    source = f"replay:{tmp_path / 'rec.mcap'}?speed=0.1"
+    done = run("watch", "--source", source, "--sensor", small_sensor_file)
+    while_running, at_end = done.stderr.split("bubbleviz: warning: ")[1:]
+    assert "no frame looks like the membrane" in while_running and while_running[:8] == "rec.mcap"
+    assert at_end.startswith("no frame looks like the membrane")
+
+
 @pytest.mark.parametrize("frames", [1, 6])
 def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_file, frames):
     path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, frames, 0.0)
