@@ -129,6 +129,8 @@ class Estimate:
         None where no optical flow of a contact was used.
     flow_contradicts : bool
         Whether it was not used as it contradicts the depth image.
+    caveat : str
+        How wrong the force may be due to the model of the membrane, in one clause, or empty.
     """
 
     status: Status
@@ -152,6 +154,7 @@ class Estimate:
     image_errors: ImageErrors | None = None
     flow: FlowFit | None = None
     flow_contradicts: bool = False
+    caveat: str = ""
 
     @property
     def trusted(self) -> bool:

@@ -72,6 +72,7 @@ class BatchRow:
     sensor: str = ""
     error: str = ""  # one sentence; empty if there is a result
     warning: str | None = None
+    model: str | None = None  # how wrong forces may be due to it; None: the exact membrane
     kappa: float | None = None  # None: automatic rule of the patch
 
     @property
@@ -134,6 +135,7 @@ class BatchSummary(Summary):
                 table(_HEADER, [row.cells() for row in self.rows]),
                 *(row.error for row in self.rows if not row.has_result),
                 *(f"{row.recording}: {row.warning}" for row in self.rows if row.warning),
+                *sorted({f"model: {row.model}" for row in self.rows if row.model}),
                 f"wrote {self.table}: {with_result} of {len(self.rows)} recordings have a result"
                 f"{earlier}",
             ]

@@ -24,7 +24,7 @@ from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError, check_seconds, given_path
 from bubbleviz.files import pose_numbers, refuse_existing, refuse_input
-from bubbleviz.inverse import LINEAR, PAPER, EstimatorOptions
+from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -49,10 +49,6 @@ if TYPE_CHECKING:
 SensorName = str | Path | Sensor
 Recorded = Sequence[Frame] | str | Path
 """Frames, or the path of a recording."""
-_LINEAR_MODEL = (
-    "constant tension (without prestretch in the sensor file, or by --solver): forces on rubber "
-    "are typically 24 % off, too low on stiff domes and too high in deep presses"
-)
 _PRODUCTS: frozenset[Product] = frozenset({"estimate", "patch"})
 """Pixels of the patch are computed on first use, or for a file."""
 
@@ -194,7 +190,6 @@ def estimate(
             "kappa": kappa,
             "texture": texture,
             "gas_zero": None if zeros.gas is None else zeros.gas.words,
-            "model": _LINEAR_MODEL if pipeline.estimator.solver_name in (LINEAR, PAPER) else None,
         }
         any_depth, equal = False, EqualImages()
         if out is not None:
@@ -449,6 +444,11 @@ def _new_run(
     context = {
         "recording": shown_name(frames.source),
         "sensor": sensor_name,
+        "out": None if out is None else str(out),
+    }
+    return zeros, Run(pipeline.model, context, provenance)
+
+
 def _results(frames: Frames, solver: FrameSolver, progress: Progress) -> Iterator[Result]:
     """Results of frames in order.
 
@@ -469,11 +469,6 @@ def _results(frames: Frames, solver: FrameSolver, progress: Progress) -> Iterato
 
 def _is_implausible(estimate: Estimate | None) -> bool:
     return estimate is not None and estimate.status == "implausible"
-
-
-        "out": None if out is None else str(out),
-    }
-    return zeros, Run(pipeline.model, context, provenance)
 
 
 _NO_ESTIMATE = {

@@ -123,6 +123,11 @@ class FrameResult:
         return self.estimate.reason
 
     @property
+    def caveat(self) -> str:
+        """How wrong the force may be due to the model of the membrane, in one clause, or empty."""
+        return self.estimate.caveat
+
+    @property
     def force_n(self) -> np.ndarray:
         """Total contact force on the membrane in B, with friction, (3,), N."""
         return self._numbers("force_n")
@@ -301,14 +306,17 @@ class Run(Sequence[FrameResult], Summary):
         self._numbers = FrameTable(model.sensor.name)
         self._results: list[FrameResult] = []
         self._failures: Counter[str] = Counter()  # statuses with their reasons
+        self._caveat: str | None = None
 
     def add(self, result: Result, *, keep: bool) -> None:
         """Add the result of the next frame; `keep`: in memory."""
         pose = [] if result.pose is None else [pose_row(result)]
         self.poses += pose
         self._numbers.add(result, pose_columns(pose[0]) if pose else None)
-        if result.estimate is not None and result.estimate.reason:
-            self._failures[result.estimate.status_text] += 1
+        if (estimate := result.estimate) is not None:
+            self._caveat = estimate.caveat or self._caveat
+            if estimate.reason:
+                self._failures[estimate.status_text] += 1
         if keep:
             frame = replace(result.frame, depth_m=_NO_IMAGE, mean_depth_m=None, find_colour=None)
             self._results.append(FrameResult(replace(result, frame=frame), self.model))
@@ -508,7 +516,7 @@ class Run(Sequence[FrameResult], Summary):
             else statistics(self.rows(), self._numbers.half_widths_n)
         )
         most_frequent = next((text for text, _ in self._failures.most_common(1)), None)
-        return self.context | found | {"failure": most_frequent}
+        return self.context | found | {"failure": most_frequent, "model": self._caveat}
 
     def to_text(self) -> str:
         """Text for the terminal, with units."""

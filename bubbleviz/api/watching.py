@@ -119,6 +119,7 @@ class Watcher:
             traction_status=None if texture is None else dict(self._tractions),
             texture=None if texture is None else texture.words,
             counters=asdict(stream.counters),
+            model=None if self.last is None else self.last.solution[0].caveat or None,
             warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
         )
 
@@ -137,6 +138,7 @@ class WatchSummary(Summary):
     traction_status: dict[str, int] | None  # number of frames by status; None: no shear requested
     texture: str | None  # reference of the optical flow, or why there is none; likewise
     counters: dict[str, Any]
+    model: str | None  # how wrong forces may be due to it; None: the exact membrane
     warning: str | None  # mismatches that did not prevent the estimation
 
     def to_text(self) -> str:
@@ -157,6 +159,8 @@ class WatchSummary(Summary):
             lines.append(
                 f"zero     {self.pressure_offset_pa:+.1f} Pa subtracted from the gas pressure"
             )
+        if self.model is not None:
+            lines.append(f"model    {self.model}")
         return "\n".join(lines)
 
 
@@ -261,12 +265,12 @@ def _watch(
             if result is not None:
                 send(result, watcher.solver.pipeline)
                 bar.update()
+                if watcher.statuses["implausible"] == watcher.statuses.total() == SEARCH_POINTS:
+                    _warn(f"{stream.name}: {NO_FRAME_FITS}")
             silent = _warn_of_silence(stream, silent)
             if send.diagnose():
                 newest = _newest(watcher.last, watcher.solver.texture)
                 bar.set_postfix_str(", ".join(filter(None, (*newest, stream.status().text))))
-                if watcher.statuses["implausible"] == watcher.statuses.total() == SEARCH_POINTS:
-                    _warn(f"{stream.name}: {NO_FRAME_FITS}")
     return watcher.summary()
 
 
@@ -296,14 +300,14 @@ def _warn_of_silence(stream: LiveStream, warned: bool) -> bool:
     return True
 
 
-def _newest(result: Result | None, texture: PassingTexture | None) -> Iterator[str]:
-    """Force or status of the newest frame, and its shear if requested."""
-    if result is None or result.estimate is None:
-        return
 def _warn(text: str) -> None:
     tqdm.write(f"bubbleviz: warning: {text}", file=sys.stderr)
 
 
+def _newest(result: Result | None, texture: PassingTexture | None) -> Iterator[str]:
+    """Force or status of the newest frame, and its shear if requested."""
+    if result is None or result.estimate is None:
+        return
     patch = result.trusted_patch
     yield result.estimate.status if patch is None else f"{np.linalg.norm(patch.force_n):.2f} N"
     if texture is not None:

@@ -345,6 +345,7 @@ class Estimator:
             seen_share=answer.visible_share,
             image_errors=answer.image_errors,
             flow=answer.flow,
+            caveat=self.bubble.caveat,
         )
 
 

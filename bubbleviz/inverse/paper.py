@@ -106,6 +106,7 @@ class PaperEstimator(Estimator):
             nodal_force_n=force,
             force_n=force.sum(axis=0),
             gas_law_pa=law,
+            caveat=self.bubble.caveat,
         )
         return estimate, Start()
 

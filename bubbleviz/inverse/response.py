@@ -260,6 +260,8 @@ class Bubble(ABC):
         Its mean tension.
     moving : (n,) bool array
         Nodes that are not fixed.
+    caveat : str
+        How wrong forces by this material may be, in one clause; empty for rubber.
     """
 
     mesh: MembraneMesh
@@ -267,6 +269,7 @@ class Bubble(ABC):
     held_pressure_pa: float
     tension_n_per_m: float
     moving: np.ndarray
+    caveat = ""
 
     def with_gas(self, gas: Gas) -> Bubble:
         """The same membrane over another gas of the same volume."""
@@ -404,6 +407,11 @@ class ConstantTension(Bubble):
     stiffness_error : float
         Relative standard deviation of the stiffness, for `by_material`.
     """
+
+    caveat = (
+        "constant tension (without prestretch in the sensor file, or by --solver): forces on "
+        "rubber are typically 24 % off, too low on stiff domes and too high in deep presses"
+    )
 
     def __init__(
         self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas, stiffness_error: float = 0.0

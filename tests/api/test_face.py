@@ -164,6 +164,9 @@ def test_summary_says_that_the_linear_model_is_not_that_of_rubber(frames, sensor
     assert said in estimated.to_text()
     assert said not in bv.estimate(frames[:1], rubber).to_text()
     assert said in bv.estimate(frames[:1], rubber, solver="fast").to_text()
+    for solver in ("fast", "linear", "paper"):
+        assert said in bv.Estimator(rubber, solver=solver).update(frames[0]).caveat
+    assert not bv.Estimator(rubber).update(frames[0]).caveat
 
 
 def farther(frame, k):

@@ -131,6 +131,7 @@ def test_numbers_equal_those_of_the_estimate_command(recordings, sensor, tmp_pat
         touching = two["patch_area_m2"] > 0.0
         residual = two["residual_rms_m"]
     assert (row.outcome, row.frames, row.contact_frames) == ("done", 5, touching.sum())
+    assert BatchSummary("t", [row, row]).to_text().count("constant tension") == 1
     assert row.max_force_n == pytest.approx(size.max())
     assert row.median_contact_force_n == pytest.approx(np.median(size[touching]))
     assert row.median_residual_rms_m == np.median(residual)

@@ -167,6 +167,12 @@ def test_watch_warns_while_it_runs_that_no_frame_fits(tmp_path, small_sensor_fil
     assert at_end.startswith("no frame looks like the membrane")
 
 
+def test_watch_says_how_wrong_forces_by_constant_tension_may_be(tmp_path, small_sensor_file):
+    path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, 3, 0.0)
+    told = output_of("watch", "--source", f"replay:{path}", "--sensor", small_sensor_file)
+    assert "model    constant tension" in told
+
+
 @pytest.mark.parametrize("frames", [1, 6])
 def test_the_last_frame_of_a_source_that_ends_is_solved(tmp_path, small_sensor_file, frames):
     path = untouched_recording(tmp_path / "rec.mcap", small_sensor_file, frames, 0.0)

@@ -153,7 +153,8 @@ class StatusBar(QStatusBar):
         known = f"{part} (friction was not estimated)" if part == DASH and patch else part
         friction = f"its part by friction: {known}"
         mean = f"\nfrom the mean of {frame.images} depth images" if frame.images > 1 else ""
-        tip = f"{TIPS['force']};\n{friction}{mean}"
+        caveat = f"{estimate.caveat};\n" if estimate and estimate.caveat else ""
+        tip = f"{TIPS['force']};\n{caveat}{friction}{mean}"
         self.labels["force"].setToolTip(untrusted_text(result) or tip)
         self._solve_ms = result.times_ms.get("total")
 
