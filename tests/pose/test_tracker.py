@@ -129,6 +129,17 @@ def test_poses_in_which_an_object_looks_different():
     assert len(looking_different(prism, np.eye(4), [turned("z", 60), turned("x", 90)])) == 2
 
 
+@pytest.mark.parametrize("name", ["cylinder", "two_spheres"])
+def test_a_turned_body_of_revolution_looks_the_same(name):
+    """Its facets, which do not look the same, must not spin it away."""
+    model, random = ObjectSurface(study_object(name)), np.random.default_rng(3)
+    axis = "x" if name == "two_spheres" else "z"
+    turns = [turned(axis, angle) for angle in random.uniform(0.0, 360.0, 10)]
+    for turn, off in zip(turns, random.normal(0.0, 0.05, (10, 3)), strict=True):
+        turn[:3, :3] = Rotation.from_rotvec(off).as_matrix() @ turn[:3, :3]
+    assert not len(looking_different(model, np.eye(4), turns))
+
+
 def test_a_search_tells_the_other_poses_that_fit_as_well(pipeline, sensor):
     """Of a light press the membrane does not show which face of a cuboid touches it."""
     T = turned("z", 20.0)
