@@ -143,15 +143,17 @@ class ImageFit:
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
-        # Model errors are independent between areas: of the membrane's position, of the size of the
-        # estimate's resolution; of the radius at which it leaves the object's edges, of the size of
-        # the mesh, which cannot follow them.
+        # Model errors are the same from frame to frame: those eliminated above, as far as the image
+        # does not show them; and others that are independent between areas: of the membrane's
+        # position, of the size of the estimate's resolution; of the radius at which it leaves the
+        # object's edges, of the size of the mesh, which cannot follow them.
         by_position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
         pulling = J[:, :6] - J[:, 6:] @ gain.T
         pulls = pulling.T * weight
         each, square = pulls * predicted.rounding[valid], predicted.square[valid]
         by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in each])
         pulled = by_position * pulls @ pulling + by_radius @ by_radius.T
+        pulled += (gain / known_off**2) @ gain.T
         covariance = np.linalg.inv(information + START_INFORMATION)
         persistent = covariance @ pulled @ covariance
         return ImageStep(information, g, persistent)
@@ -195,13 +197,14 @@ class ImageFit:
         rays = self._directions[pixel].sum(axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
-        hits = caster.cast(press.nodes)
+        nodes = press.released
+        hits = caster.cast(nodes)
         pixel = pixel[hits.ray]
-        values = hits.barycentric[:, :, None] * caster.slopes(press.nodes, hits)[:, None]
+        values = hits.barycentric[:, :, None] * caster.slopes(nodes, hits)[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
         J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
-        vectors = area_vectors(press.nodes, mesh.triangles[np.unique(hits.triangle)])
+        vectors = area_vectors(nodes, mesh.triangles[np.unique(hits.triangle)])
         square = np.floor(self._places[pixel[:, 0], :2] / mesh.edge_length).astype(int)
         square -= square.min(axis=0, initial=0)
         return PredictedImage(

@@ -72,7 +72,8 @@ _TRIES, _NEAR = 30, 10
 _MAX_TRIES = 200_000  # random points for each one kept, and in a square of a rounding; in total
 ROUNDING_M = 1e-3
 """Radius of the object's edges in the model: objects are rounded there, the membrane has a
-thickness, and its triangles cannot follow a rounding narrower than themselves."""
+thickness, and its triangles cannot follow a rounding narrower than themselves. Of the truths of
+`refined_press` for a bar and a cross, whose edges have 0.5 mm, it was 1.2 ± 0.2 mm."""
 _SHARPEST = 0.05
 """Lower limit of (1 + cos(angle between the normals of an edge))/2: sharper edges are treated as
 edges of 26°, as rounding would move their tip too far back."""
@@ -311,6 +312,11 @@ class Press:
     tangent: Tangent
     friction_n: np.ndarray  # (k, 3), of the estimate, on each node
     gas_pa: float  # measured absolute pressure; not finite: by the gas law
+
+    @property
+    def released(self) -> np.ndarray:
+        """Nodes (k, 3) of the membrane around the object with rounded edges."""
+        return self.nodes + ROUNDING_M * self.rounding
 
     def motion_by(self, contact: ContactPoints, gas_pressure_pa: float | None) -> np.ndarray:
         """Motion (k, 3) of the nodes by changes of friction and measured gas pressure since."""

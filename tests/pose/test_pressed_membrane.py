@@ -306,19 +306,43 @@ def test_image_of_the_press_equals_the_range_change(pipeline, rubber, contact, i
     found = image[1]
     press, mesh = pressed(pipeline, rubber, "cylinder").press(pose(), contact), pipeline.mesh
     triangles = press.part.mesh.triangles
-    now = ranges(pipeline, found.pixel[:, 0], press.nodes, triangles)
+    now = ranges(pipeline, found.pixel[:, 0], press.released, triangles)
     at_rest = ranges(pipeline, found.pixel[:, 0], mesh.nodes, mesh.triangles)
     np.testing.assert_allclose(found.expected_m, now - at_rest, atol=2e-6)
     assert found.expected_m.min() < -5e-3
     step = 1e-4
     for k, slope in enumerate([*press.slopes, press.rounding]):
         ends = [
-            ranges(pipeline, found.pixel[:, 0], press.nodes + s * slope, triangles)
+            ranges(pipeline, found.pixel[:, 0], press.released + s * slope, triangles)
             for s in (step, -step)
         ]
         derivative = found.jacobian[:, k] if k < 6 else found.rounding
         error = np.abs((ends[0] - ends[1]) / (2.0 * step) - derivative)
         assert np.quantile(error, 0.95) < 0.03 * np.abs(derivative).max() + 3e-4  # single precision
+
+
+@pytest.mark.parametrize("name", ["bar", "cross"])
+def test_released_membrane_is_nearer_to_a_finer_press(pipeline, rubber, contact, name):
+    """Triangles bend the membrane beyond the object's edges, larger ones further."""
+    finer = PressOptions(finer_m=4e-3, converged_m=1e-6, max_steps=60)
+    pixels, missed = np.arange(0, len(pipeline.estimator.observer.pixel), 3), []
+    for x in (0.002, 0.003, 0.004):  # of edges over the triangles
+        coarse, fine = (
+            pressed(pipeline, rubber, name, options).press(pose(x), contact)
+            for options in (PRECISE, finer)
+        )
+        wanted, *shown = (
+            ranges(pipeline, pixels, nodes, triangles)
+            for nodes, triangles in (
+                (fine.nodes, fine.part.mesh.triangles),
+                (coarse.nodes, coarse.part.mesh.triangles),
+                (coarse.released, coarse.part.mesh.triangles),
+            )
+        )
+        seen = np.isfinite([wanted, *shown]).all(axis=0)
+        missed.append([np.linalg.norm(now[seen] - wanted[seen]) for now in shown])
+    before, after = np.linalg.norm(missed, axis=0)
+    assert after < 0.7 * before
 
 
 def test_step_is_weighted_least_squares_with_image_noise(contact, image):
@@ -349,8 +373,12 @@ def test_step_is_weighted_least_squares_with_image_noise(contact, image):
         assert off @ each.information @ off < 12.6  # χ² of six degrees of freedom, 95 %
 
 
-def test_persistent_covariance_is_that_of_model_errors(pipeline, contact, image):
-    """Of the membrane's position and of the radius of edges, independent between areas."""
+@pytest.mark.parametrize("noise_m", [2.4e-4, 5e-3])
+def test_persistent_covariance_is_that_of_model_errors(
+    pipeline, contact, image, monkeypatch, noise_m
+):
+    """Of the membrane's position and of the radius of edges, at all edges and between areas."""
+    monkeypatch.setattr("bubbleviz.pose.image_fit.MODEL_ERROR_M", noise_m)  # floor of the noise
     fit, found = image
     rng, precision, pixel = np.random.default_rng(0), precision_of(pipeline.estimator), found.pixel
     observer, mesh = pipeline.estimator.observer, pipeline.mesh
@@ -363,6 +391,7 @@ def test_persistent_covariance_is_that_of_model_errors(pipeline, contact, image)
     change, small, distances = np.full(int(pixel.max()) + 1, np.nan), 0.05, []
     for _ in range(200):
         error_m = deviation_m * rng.standard_normal(len(pixel))
+        error_m += ROUNDING_M * rng.standard_normal() * found.rounding
         error_m += ROUNDING_M * rng.standard_normal(len(squares))[square.ravel()] * found.rounding
         change[pixel[:, 0]] = found.expected_m + small * error_m
         step = fit.step(change, contact, pose(), every, valid_m=1e-3)
