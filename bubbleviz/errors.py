@@ -61,7 +61,8 @@ def check_number(
     option: str, value: object, lowest: float, highest: float = inf, *, whole: bool = False
 ) -> None:
     """Refuse what is not a finite or whole number from `lowest` to `highest`. Raises InputError."""
-    number = float(value) if isinstance(value, Integral if whole else Real) else nan
+    is_number = isinstance(value, Integral if whole else Real) and not isinstance(value, bool)
+    number = float(value) if is_number else nan  # type: ignore[arg-type]
     if not lowest <= number <= highest or number == inf:
         limits = f"from {lowest:g} to {highest:g}" if highest < inf else f"of {lowest:g} or more"
         kind = "whole" if whole else "finite"

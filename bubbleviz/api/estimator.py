@@ -17,9 +17,8 @@ from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import FrameResult, OneBlasThread
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
 from bubbleviz.errors import InputError, check_number
-from bubbleviz.files import parse_pose
+from bubbleviz.files import checked_pose, parse_pose
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz.membrane import checked_pose
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, Frame, check_unit, metres

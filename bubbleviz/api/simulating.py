@@ -12,8 +12,8 @@ import numpy as np
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
 from bubbleviz.errors import InputError, check_choice, check_number
-from bubbleviz.files import parse_pose, read_path, whole_file
-from bubbleviz.membrane import build_mesh, checked_pose
+from bubbleviz.files import checked_pose, parse_pose, read_path, whole_file
+from bubbleviz.membrane import build_mesh
 from bubbleviz.output import surface_arrays
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import Frame, RecordingWriter

@@ -139,7 +139,7 @@ def _comment(found: Identification) -> str:
         "B: origin at the centre of the rim plane; rim plane and axes follow from the camera pose "
         "in the initial sensor file.",
         advice(found)[0],
-        *("{name}: {value} ({told_by}).".format(**row) for row in parameters(found)),
+        *("{name}: {value} ({source}).".format(**row) for row in parameters(found)),
     ]
     return "".join(f"# {line}\n" for line in lines) + "\n"
 

@@ -16,7 +16,7 @@ PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 _GOOD, _USABLE = 0.02, 0.05  # largest relative half-width of γ0 for each grade
 _MIN_VISIBLE = 0.8  # share of the dome's area; chosen
 _MIN_FRAMES = 30  # one second of most depth cameras
-_COLUMNS = "name", "value", "told_by", "narrower"
+_COLUMNS = "name", "value", "source", "improvement"
 _LEVELS = (
     "record the untouched sensor at two other inflations, 15 % of its gauge pressure apart, with"
     " their gas pressures (--level)"
@@ -141,8 +141,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
 def parameters(found: Identification, pressure: PressureText = pascals) -> list[dict[str, str]]:
     """Which data determine γ0, gauge pressure, and the parameters of the rubber.
 
-    Each row has a `name`, the `value` with its 95 % interval, what it is `told_by`, or why it is
-    not determined, and what makes the interval `narrower`.
+    Each row has a `name`, the `value` with its 95 % interval, its `source`, or why it is not
+    determined, and what would narrow the interval as `improvement`.
     """
     vented = found.vented is not None
     gauge = found.gauge
@@ -171,7 +171,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
 
 def sentence(row: dict[str, str]) -> str:
     """A row of `parameters` as a sentence or two."""
-    return "{name}: {value} ({told_by}). To improve it: {narrower}.".format(**row)
+    return "{name}: {value} ({source}). To improve it: {improvement}.".format(**row)
 
 
 def _range(texts: tuple[str, ...], unit: str = "") -> str:

@@ -20,6 +20,7 @@ from .output_files import (
 from .poses import (
     COLUMNS as COLUMNS,
     angles_of_pose as angles_of_pose,
+    checked_pose as checked_pose,
     is_unit as is_unit,
     parse_pose as parse_pose,
     pose_matrix as pose_matrix,

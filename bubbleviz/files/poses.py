@@ -39,14 +39,25 @@ def pose_matrix(numbers: np.ndarray) -> np.ndarray:
     position, quaternion = numbers[:3], numbers[3:]
     if not np.isfinite(numbers).all():
         raise InputError("a number is missing or not finite; correct it")
-    if np.abs(position).max() > _MAX_DISTANCE_M:
-        raise InputError("a coordinate is beyond ±2 m; give x y z in metres, not millimetres")
     if not is_unit(quaternion):
         raise InputError(
             "the quaternion qx qy qz qw is not of unit length; divide it by its length, or give "
             "0 0 0 1 for no rotation"
         )
-    return transform(position, quaternion)
+    return checked_pose(transform(position, quaternion))
+
+
+def checked_pose(T: np.ndarray) -> np.ndarray:
+    """Pose as a 4×4 float array. Raises InputError: it is not a rigid transform in metres."""
+    pose = np.asarray(T, dtype=np.float64)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        raise InputError("the pose is not a finite 4×4 matrix; give a rigid transform")
+    R = pose[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+        raise InputError("the pose's 3×3 part is not a rotation; give a rigid transform")
+    if np.abs(pose[:3, 3]).max() > _MAX_DISTANCE_M:
+        raise InputError("a coordinate is beyond ±2 m; give x y z in metres, not millimetres")
+    return pose
 
 
 def transform(

@@ -9,7 +9,6 @@ from .forward_model import (
     ForwardModel as ForwardModel,
     GapFinder as GapFinder,
     ObstacleSolver as ObstacleSolver,
-    checked_pose as checked_pose,
 )
 from .gas import (
     Gas as Gas,

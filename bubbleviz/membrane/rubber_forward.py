@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.equilibrium import Equilibrium, RubberContact, Solved, State
-from bubbleviz.membrane.forward_model import ForwardModel, checked_pose
+from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
 from bubbleviz.membrane.object_surface import ObjectSurface
 from bubbleviz.membrane.rubber import RubberMembrane
@@ -53,21 +53,19 @@ class RubberForward:
 
         Solved from the linear model's equilibrium, and if that fails by moving the object in from
         outside. The result does not depend on earlier poses.
-
-        Raises InputError: the pose is not a rigid transform in metres.
         """
-        pose, surface, count = checked_pose(T_B_O), self._surface_of(obj), 0
+        surface, count = self._surface_of(obj), 0
         self._linear.forget()
-        linear = self._linear.press(obj, pose)
+        linear = self._linear.press(obj, T_B_O)
         starts = [(linear.displacement_3d_m, linear.contact_pressure_pa)]
         for moved, pressure in starts if near is None else [near, *starts]:
-            start = State.free(self.mesh.nodes + moved, pressure * self.mesh.areas, pose)
+            start = State.free(self.mesh.nodes + moved, pressure * self.mesh.areas, T_B_O)
             solved = self._equilibrium.solve(surface, start)
             count += solved.factorisations
             if solved.accepted:
                 break
         if not (solved.accepted or quick):
-            solved = self._from_outside(surface, pose)
+            solved = self._from_outside(surface, T_B_O)
             count += solved.factorisations
         solved = replace(solved, factorisations=count)
         return self._equilibrium.contact(solved, linear.rim_penetration_m)
@@ -111,12 +109,11 @@ class RubberForward:
         and sliding depend on the path. A node sticks from the end of the step in which it came into
         contact.
 
-        Raises InputError: μ is out of range, or a pose is not a rigid transform in metres.
+        Raises InputError: μ is out of range.
         """
         equilibrium = self._equilibrium.varied(friction=checked_friction(friction))
         surface, state = self._surface_of(obj), None
-        for each in poses:
-            pose = checked_pose(each)
+        for pose in poses:
             if state is None:
                 state = self._initial(surface, pose, start)
             state, contact = _advance(equilibrium, surface, state, pose)

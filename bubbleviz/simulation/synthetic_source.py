@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, MembraneView
 from bubbleviz.errors import InputError, SolveError
+from bubbleviz.files import checked_pose
 from bubbleviz.inverse import area_above, touching_share
 from bubbleviz.membrane import (
     Contact,
@@ -184,11 +185,9 @@ class SyntheticSource:
     ) -> None:
         own = sensor if isinstance(sensor, SensorModel) else SensorModel.of(sensor)
         self.sensor = sensor = own.sensor
-        self.obj, self.poses = obj, np.asarray(poses, dtype=np.float64)
-        if self.poses.ndim != 3 or self.poses.shape[1:] != (4, 4) or not len(self.poses):
-            raise InputError(
-                f"poses: shape {self.poses.shape}; give transforms T_B_O, (frames, 4, 4)"
-            )
+        if np.ndim(poses) != 3 or not len(poses):
+            raise InputError(f"poses: shape {np.shape(poses)}; give T_B_O (frames, 4, 4)")
+        self.obj, self.poses = obj, np.array([checked_pose(each) for each in poses])
         self.noise, self.seed = noise or DepthNoise(), seed
         self.name = f"{obj.name} on {sensor.name}"
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s

@@ -93,8 +93,10 @@ POSE = "0 0 0.044 0 0 0 1"
         (lambda f, s: bv.compare(f, "a.mcap", align="size"), "--align size: .* one of time, con"),
         (lambda f, s: bv.info(f[0]), "recording: expected .*not Frame"),
         (lambda f, s: bv.export(f, "x.csv", s, what=3), "what: expected str or Sequence, not int"),
+        (lambda f, s: bv.batch("x", "y", jobs=True), "--jobs True: give a whole number"),
         (lambda f, s: bv.batch("x", "y", jobs=0), "--jobs 0: give a whole number of 1 or more"),
         (lambda f, s: bv.save_sensor("auto", "x.toml"), "sensor: expected Sensor, not str"),
+        (lambda f, s: bv.simulate(s, "cylinder", np.diag([1, 1, -1, 1])), "3×3 part is not a rota"),
         (lambda f, s: bv.simulate(s, "cylinder", POSE, model="wood"), "--model wood: choose one"),
         (
             lambda f, s: bv.simulate(s, "cylinder", POSE, frames=2.5),

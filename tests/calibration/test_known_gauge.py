@@ -122,8 +122,8 @@ def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa)
     assert gauge.low < GAUGE_PA < gauge.high
     assert grade(found) == "doubtful"
     (row,) = (each for each in parameters(found) if each["name"] == "gauge pressure")
-    assert "open chamber for ten seconds" in row["narrower"]
-    assert row["told_by"].endswith("sensor file")
+    assert "open chamber for ten seconds" in row["improvement"]
+    assert row["source"].endswith("sensor file")
     why = "one of them is wrong. R" if found.contradicts_file else "every force no better: r"
     assert any(f"{why}ecord the open chamber for ten seconds" in line for line in advice(found))
 

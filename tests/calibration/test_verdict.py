@@ -112,14 +112,14 @@ def test_warning_appears_beyond_its_limit(ball, change, said):
 
 def test_parameters_list_their_origin_and_how_to_improve_them(ball):
     tension, gauge, stretch = parameters(ball)
-    assert "95 % interval" in gauge["value"] and "(--vented)" in gauge["narrower"]
-    assert stretch["value"] == "not determined" and "(--level)" in stretch["narrower"]
+    assert "95 % interval" in gauge["value"] and "(--vented)" in gauge["improvement"]
+    assert stretch["value"] == "not determined" and "(--level)" in stretch["improvement"]
     assert "neither levels nor" in sentence(stretch)
     parts = ball.surfaces.tension_parts_m
     for name, said in {"frames": "drift", "facets": "more nodes", "surface": "uncover"}.items():
         found = with_tension(ball, 0.01, tension_parts_m=parts | {name: 10.0 * max(parts.values())})
         tension = parameters(found)[0]
-        assert said in tension["narrower"] and f"{ball.tension_n_per_m:.0f}" in tension["value"]
+        assert said in tension["improvement"] and f"{ball.tension_n_per_m:.0f}" in tension["value"]
 
 
 def test_the_interval_of_a_low_gauge_pressure_shows_its_ends(ball):
@@ -143,7 +143,7 @@ def test_stress_that_an_oval_rim_leaves_open_has_a_row_where_it_is_known(ball, k
     found = replace(ball, rubber={"sheet_share": share}, shapes_kind=kind)
     row = parameters(found)[-1]
     assert (row["name"], row["value"]) == ("sheet share", "0.46, 95 % interval 0.00 to 1.00")
-    assert row["told_by"] == f"the {kind}" and narrower in row["narrower"]
+    assert row["source"] == f"the {kind}" and narrower in row["improvement"]
 
 
 @pytest.mark.parametrize(
