@@ -85,18 +85,19 @@ def test_usual_peak_pressure_never_shrinks_while_a_press_grows_and_leaves_out_ou
     assert extremes.usual_peak_pa == 60e3
 
 
-def test_scale_grows_only_in_the_first_pass_of_playback(drive):
-    driver = drive(DentSource, frame=0, playing=True)
-    driver.state.change(loop=True, every_frame=True)
-    shown, ends = [], []
+def test_scale_grows_only_in_the_first_pass_of_playback(qtbot, new_window, sensor):
+    driver, shown, ends = Driver(qtbot, new_window()), [], []
     driver.window.controller.shown.connect(lambda result: shown.append(result.frame.index))
-    driver.window.view.rendered.connect(lambda: ends.append((len(shown), scale(driver))))
+    driver.window.view.rendered.connect(lambda: shown and ends.append(scale(driver)))
+    driver.state.change(loop=True, every_frame=True)  # before a frame is shown, or skipped
+    driver.open("dent", DentSource, sensor, frame=0, playing=True)
+    driver.window.show()
     driver.wait(lambda: len(shown) > FRAMES)
     driver.wait_for_redraw()
     first = len(ends)
     driver.wait(lambda: len(shown) > 3 * FRAMES)
-    assert [end for _, end in ends] == sorted(end for _, end in ends)
-    assert {end for _, end in ends[first:]} == {ends[-1][1]}
+    assert shown == [k % FRAMES for k in range(len(shown))]
+    assert ends == sorted(ends) and set(ends[first:]) == {ends[-1]}
 
 
 def test_scale_is_the_same_in_all_frames_of_a_video_and_without_outliers(drive, sensor, tmp_path):

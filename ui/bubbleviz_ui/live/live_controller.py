@@ -181,7 +181,9 @@ class LiveController(QObject):
 
     def _warn(self) -> None:
         """Warn once per sensor of data that never change, and of a gas pressure unlike its file."""
-        sensors = () if self.run is None else self.run.session.sensors
+        if self.run is None or not self._first_drawn:  # opening clears the message bar
+            return
+        sensors = self.run.session.sensors
         found: set[str] = set()
         for live in sensors:
             zero = live.zero
