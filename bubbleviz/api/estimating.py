@@ -138,7 +138,7 @@ def estimate(
         Estimate force, with friction at every node, and slip from depth and colour images together.
     colour_delay_s : float, optional
         Stamp of a colour image minus that of the depth image of the same scene, s; negative if
-        colour leads depth. By default the sensor file's, else 0.
+        colour leads depth, at most ±0.5 s. By default the sensor file's, else 0.
     out : path, optional
         Results of all frames, RESULT.npz, written frame by frame and then not kept in memory.
     csv : path, optional

@@ -189,7 +189,7 @@ def identify(
     surface : {"sphere", "ellipsoid", "free-form"}, optional
         Shape of the membrane; by default chosen by cross-validation.
     nodes : int
-        Nodes of the mesh.
+        Nodes of the mesh, 30 to 20,000.
     levels : iterable of Frames or path
         Recordings of the untouched sensor at other inflation levels.
     level_sigma : float, optional

@@ -216,7 +216,7 @@ def publish(
     connect : str, optional
         Router to publish through, such as tcp/HOST:7447.
     domain : int
-        ROS_DOMAIN_ID.
+        ROS_DOMAIN_ID, 0 to 232.
     wait : bool
         Start when a subscriber connects.
     **credentials

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 import bubbleviz as bv
-from bubbleviz.files import MAX_COLOUR_DELAY_S
 from bubbleviz.lazy_imports import quick_imports
 from bubbleviz.wording import encodable
 
@@ -33,18 +32,6 @@ _UNIT = re.compile(r"(_s|_hz|_px|(?<=_sigma)_m)$")
 """Unit at the end of a parameter's name, which the name of its option leaves out."""
 _CONSTANTS = {"AUTO": "auto"}
 """Values of constants that are defaults."""
-_RANGES: dict[str, click.ParamType[Any]] = {
-    "friction": click.FloatRange(0.0),
-    "colour_delay_s": click.FloatRange(-MAX_COLOUR_DELAY_S, MAX_COLOUR_DELAY_S),
-    "duration_s": click.FloatRange(0.0, min_open=True),
-    "rate_hz": click.FloatRange(0.01, 1e4),
-    "level_sigma": click.FloatRange(0.0),
-    "metres_per_unit": click.FloatRange(0.0, min_open=True),
-    "seed": click.IntRange(0),
-    "nodes": click.IntRange(30, 20_000),
-    "jobs": click.IntRange(1, 1024),
-    "domain": click.IntRange(0, 232),
-}
 
 
 class _Path(click.Path):
@@ -129,7 +116,7 @@ def option(verb: str, name: str, former: str = "", *, required: bool = False) ->
         called += f"/--no-{called[2:]}" if default else ""
         attributes |= {"is_flag": True, "default": default}
     else:
-        attributes |= {"type": _type(name, kind), "required": required or default is ...}
+        attributes |= {"type": _type(kind), "required": required or default is ...}
         if default not in (..., None, ()):
             attributes["default"] = default
     if kind.startswith("iterable"):
@@ -137,9 +124,7 @@ def option(verb: str, name: str, former: str = "", *, required: bool = False) ->
     return click.Option([former or called, name], **attributes)
 
 
-def _type(name: str, kind: str) -> click.ParamType[Any] | type:
-    if name in _RANGES:
-        return _RANGES[name]
+def _type(kind: str) -> click.ParamType[Any] | type:
     if kind.startswith("{"):
         return click.Choice(sorted(ast.literal_eval(kind[: kind.index("}") + 1])))
     if "path" in kind and "str" not in kind:

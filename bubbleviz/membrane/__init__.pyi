@@ -70,7 +70,6 @@ from .rubber import (
 from .rubber_forward import (
     MOST_FRICTION as MOST_FRICTION,
     RubberForward as RubberForward,
-    checked_friction as checked_friction,
 )
 from .sparse_factor import (
     Factor as Factor,

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from bubbleviz.errors import InputError
 from bubbleviz.membrane.equilibrium import Equilibrium, RubberContact, Solved, State
 from bubbleviz.membrane.forward_model import ForwardModel
 from bubbleviz.membrane.gas import Gas
@@ -108,10 +107,8 @@ class RubberForward:
         Each is solved from the one before, in steps of a quarter of an edge or less, as sticking
         and sliding depend on the path. A node sticks from the end of the step in which it came into
         contact.
-
-        Raises InputError: μ is out of range.
         """
-        equilibrium = self._equilibrium.varied(friction=checked_friction(friction))
+        equilibrium = self._equilibrium.varied(friction=friction)
         surface, state = self._surface_of(obj), None
         for pose in poses:
             if state is None:
@@ -130,14 +127,6 @@ class RubberForward:
             return State.free(nodes, np.zeros(len(nodes)), lifted)
         load = np.linalg.norm(start.nodal_force_n, axis=1)
         return _anchored(State.free(nodes + start.displacement_3d_m, load, pose))
-
-
-def checked_friction(friction: float) -> float:
-    """A coefficient of friction; InputError where it is out of range."""
-    if not 0.0 < friction <= MOST_FRICTION:
-        most = f"{MOST_FRICTION:g}"
-        raise InputError(f"friction {friction:g}: give a number above 0, up to {most}")
-    return friction
 
 
 def _lifted(pose: np.ndarray, height_m: float) -> np.ndarray:

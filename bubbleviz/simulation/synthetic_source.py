@@ -11,10 +11,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bubbleviz.camera import ColourCamera, ColourImage, DepthCamera, EncodedImage, MembraneView
-from bubbleviz.errors import InputError, SolveError
+from bubbleviz.errors import InputError, SolveError, check_number
 from bubbleviz.files import checked_pose
 from bubbleviz.inverse import area_above, touching_share
 from bubbleviz.membrane import (
+    MOST_FRICTION,
     Contact,
     ForwardModel,
     Gas,
@@ -22,7 +23,6 @@ from bubbleviz.membrane import (
     RubberForward,
     build_mesh,
     build_rubber,
-    checked_friction,
     refinement,
 )
 from bubbleviz.recordings import (
@@ -188,6 +188,7 @@ class SyntheticSource:
         if np.ndim(poses) != 3 or not len(poses):
             raise InputError(f"poses: shape {np.shape(poses)}; give T_B_O (frames, 4, 4)")
         self.obj, self.poses = obj, np.array([checked_pose(each) for each in poses])
+        check_number("--friction", friction, 0.0, MOST_FRICTION)
         self.noise, self.seed = noise or DepthNoise(), seed
         self.name = f"{obj.name} on {sensor.name}"
         self.times_s = np.arange(len(poses)) / rate_hz if times_s is None else times_s
@@ -198,7 +199,7 @@ class SyntheticSource:
         gas = Gas.of(sensor.pneumatics, self.mesh)
         self._gas = gas
         self._model: ForwardModel | RubberForward
-        self._friction = checked_friction(friction) if friction else 0.0
+        self._friction = friction
         if model == "rubber" or (model is None and sensor.membrane.prestretch is not None):
             rubber = build_rubber(sensor, self.mesh, tension)
             self._model = RubberForward(rubber, gas)

@@ -93,6 +93,8 @@ POSE = "0 0 0.044 0 0 0 1"
         (lambda f, s: bv.compare(f, "a.mcap", align="size"), "--align size: .* one of time, con"),
         (lambda f, s: bv.info(f[0]), "recording: expected .*not Frame"),
         (lambda f, s: bv.export(f, "x.csv", s, what=3), "what: expected str or Sequence, not int"),
+        (lambda f, s: bv.convert("x", "y", rate_hz=0), "--rate 0: .* from 0.01 to 10000"),
+        (lambda f, s: bv.convert("x", "y", metres_per_unit=np.nan), "--metres-per-unit nan: give"),
         (lambda f, s: bv.batch("x", "y", jobs=True), "--jobs True: give a whole number"),
         (lambda f, s: bv.batch("x", "y", jobs=0), "--jobs 0: give a whole number of 1 or more"),
         (lambda f, s: bv.save_sensor("auto", "x.toml"), "sensor: expected Sensor, not str"),
@@ -101,6 +103,10 @@ POSE = "0 0 0.044 0 0 0 1"
         (
             lambda f, s: bv.simulate(s, "cylinder", POSE, frames=2.5),
             "--frames 2.5: .* whole number",
+        ),
+        (
+            lambda f, s: bv.simulate(s, "cylinder", POSE, friction=5.1),
+            "--friction 5.1: .* from 0 to 5",
         ),
         (
             lambda f, s: bv.simulate(s, "cylinder", POSE, seed=-1),

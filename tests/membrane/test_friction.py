@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from domes import AIR, GAUGE, A, H, dome, plate, pose
 
-from bubbleviz.errors import InputError
-from bubbleviz.membrane import Gas, MembraneMesh, RubberForward, RubberMembrane, rubber_forward
+from bubbleviz.membrane import Gas, MembraneMesh, RubberForward, RubberMembrane
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import study_object
 from tests.oracles.rubber_oracle import AxialRubber
@@ -280,10 +279,3 @@ def test_shorter_steps_and_finer_meshes_change_little():
     coarse, fine = dragged(300, 3), dragged(1200, 3)
     np.testing.assert_allclose(dragged(300, 8), coarse, rtol=0.02)
     np.testing.assert_allclose(fine, coarse, rtol=0.05)
-
-
-@pytest.mark.parametrize("friction", [-0.1, 0.0, 50.0, np.nan])
-def test_friction_out_of_range_is_refused(friction, monkeypatch):
-    monkeypatch.setattr(rubber_forward, "MOST_FRICTION", 4.5)
-    with pytest.raises(InputError, match=r"friction .*: give a number above 0, up to 4\.5$"):
-        next(RubberForward(*dome(250)).follow(plate(), [pose()], friction))
