@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
 import shutil
@@ -418,10 +419,6 @@ def _locked(out: Path, jobs: list[Job], local: bool) -> Iterator[None]:
 
 
 def _lock(descriptor: int, out: Path) -> None:
-    try:
-        import fcntl  # not on Windows
-    except ImportError:
-        return
     with suppress(BlockingIOError):
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         if os.fstat(descriptor).st_nlink:  # else a batch that ended has removed it meanwhile

@@ -147,8 +147,7 @@ class PipelineProcess:
 def _prepared(
     sensor: Sensor, intrinsics: Intrinsics, options: EstimatorOptions, products: frozenset[Product]
 ) -> tuple[Pipeline, Zeros]:
-    if hasattr(os, "nice"):  # not on Windows
-        os.nice(_NICENESS)
+    os.nice(_NICENESS)
     pipeline = Pipeline.of(sensor, intrinsics, options)
     pipeline.prepare(products)
     return pipeline, Zeros.of_stream(None, pipeline)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 import threading
 import time
 import traceback
@@ -51,9 +52,5 @@ def _end_with(parent: int) -> None:
 
 
 def _limit_memory(limit_bytes: int) -> None:
-    try:
-        import resource  # not on Windows
-    except ImportError:
-        return
     _, hard = resource.getrlimit(resource.RLIMIT_DATA)
     resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))
