@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 _WALK = 4  # triangles that a ray may walk over; it is cast again before more are needed
 _LONG_WALK = 64  # the same where it is not cast again: more than there are across a dent
 
+_AT_ONCE = 2**15  # rays, so that what is gathered for them fits the processor's cache
+
 _COARSER = 8  # a walk starts from the triangle of every 8th ray, found first
 
 _OUTSIDE = 1e-6  # barycentric coordinate below which a ray has left its triangle
@@ -181,6 +183,19 @@ class RayCaster:
         Faces and rays (j, 3) are in single precision.
         """
         there, arrived = triangle.copy(), triangle >= 0
+        for some in _slices(len(ray)):
+            self._walk(faces, ray[some], there[some], arrived[some], most)
+        return there, arrived
+
+    def _walk(
+        self,
+        faces: np.ndarray,
+        ray: np.ndarray,
+        there: np.ndarray,
+        arrived: np.ndarray,
+        most: int,
+    ) -> None:
+        """Replace `there` by the triangle after the walk; clear `arrived` where the ray misses."""
         walking = np.flatnonzero(arrived)
         for _ in range(most):
             current = faces.take(there[walking], axis=0)
@@ -192,10 +207,9 @@ class RayCaster:
             arrived[walking[following < 0]] = False
             walking, following = walking[following >= 0], following[following >= 0]
             if not len(walking):
-                return there, arrived
+                return
             there[walking] = following
         arrived[walking] = False
-        return there, arrived
 
     @cached_property
     def _across(self) -> np.ndarray:
@@ -236,11 +250,18 @@ class RayCaster:
 
     def _hits_on_planes(self, facets: _Facets, ray: np.ndarray, triangle: np.ndarray) -> Hits:
         """Hits of rays (k,) on the planes of triangles (k,)."""
-        faces = facets.faces.take(triangle, axis=0)
-        volumes = np.einsum("rkj,rj->rk", faces, self.directions.take(ray, axis=0))
-        along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
-        barycentric = volumes / along[:, None]
-        return Hits(ray, triangle, barycentric, facets.offset[triangle] / along)
+        barycentric, range_m = np.empty((len(ray), 3)), np.empty(len(ray))
+        for some in _slices(len(ray)):
+            faces = facets.faces.take(triangle[some], axis=0)
+            volumes = np.einsum("rkj,rj->rk", faces, self.directions.take(ray[some], axis=0))
+            along = volumes[:, 0] + volumes[:, 1] + volumes[:, 2]
+            np.divide(volumes, along[:, None], out=barycentric[some])
+            np.divide(facets.offset[triangle[some]], along, out=range_m[some])
+        return Hits(ray, triangle, barycentric, range_m)
+
+
+def _slices(rays: int) -> list[slice]:
+    return [slice(start, start + _AT_ONCE) for start in range(0, rays, _AT_ONCE)]
 
 
 def sparse_rows(values: np.ndarray, columns: np.ndarray, count: int) -> sparse.csr_array:

@@ -1,5 +1,7 @@
 """First triangle on each ray, against a test of every triangle."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -47,3 +49,19 @@ def test_each_ray_finds_the_first_triangle_it_meets(shape):
     for near in (None, caster.first(mesh.nodes)):  # anew, and from the triangles met at rest
         found = caster.first(nodes, near=near)
         np.testing.assert_array_equal(found[clear], expected[clear])
+
+
+def test_casting_a_whole_image_takes_little_more_memory_than_its_hits():
+    mesh, origin = mesh_cap(spherical_cap(0.04, 0.03), 300), np.array([0.0, 0.0, -0.09])
+    side = np.linspace(-0.3, 0.3, 500)
+    rays = np.stack(np.meshgrid(side, side, [1.0]), -1).reshape(-1, 3)
+    caster = RayCaster(origin, rays / np.linalg.norm(rays, axis=1, keepdims=True), mesh.triangles)
+    caster.cast(mesh.nodes)
+    tracemalloc.start()
+    try:
+        hits = caster.cast(mesh.nodes)
+        kept, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(hits.ray) > 100_000
+    assert peak < 2.5 * kept
