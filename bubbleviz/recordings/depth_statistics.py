@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -27,16 +28,25 @@ def temporal_correlation(
     Corrected for bias: deviations from the mean of the same frames lack the variance of that mean
     in every covariance.
     """
-    frames = len(deviations)
-    flat, products = deviations.reshape(frames, -1), np.zeros((frames, frames))
-    for part in _parts(sigma.size):
-        noise = _standardised(flat[:, part], sigma.ravel()[part])
-        noise = noise[:, np.isfinite(noise).all(axis=0)]
-        products += noise @ noise.T
-    if not products.any():
+    flat, spread = deviations.reshape(len(deviations), -1), sigma.ravel()
+    parts = _parts(spread.size)
+    return _correlation(_products(flat[:, part], spread[part]) for part in parts)
+
+
+def _products(deviations: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """Sums (F, F) over some pixels of the products of their noise in two frames."""
+    noise = _standardised(deviations, sigma)
+    noise = noise[:, np.isfinite(noise).all(axis=0)]
+    return (noise @ noise.T).astype(float)
+
+
+def _correlation(products: Iterable[np.ndarray]) -> np.ndarray:
+    """Correlation at lags 0, 1, … from `_products` (F, F) of all parts of an image."""
+    total = np.sum(list(products), axis=0)
+    if not total.any():
         return np.ones(1)
-    lags = range(max(1, frames // 2))
-    return _unbiased(np.array([np.mean(np.diagonal(products, k)) for k in lags]), frames)
+    lags = range(max(1, len(total) // 2))
+    return _unbiased(np.array([np.mean(np.diagonal(total, k)) for k in lags]), len(total))
 
 
 def _unbiased(covariance: np.ndarray, frames: int) -> np.ndarray:
@@ -81,7 +91,6 @@ def student_factor(freedom: float) -> float:
 def spatial_correlation(
     deviations: np.ndarray,  # (F, H, W), samples minus the pixel's mean, m; NaN for no return
     sigma: np.ndarray,  # (H, W), spread of the same deviations, m
-    stride: int = 1,  # use every n-th frame (neighbours in time are redundant)
 ) -> np.ndarray:
     """Correlation of one frame's noise at 0, 1, … 32 pixels along rows and columns.
 
@@ -101,7 +110,7 @@ def spatial_correlation(
         return total
 
     with ThreadPoolExecutor(_THREADS) as threads:
-        product, pairs = np.sum(list(threads.map(products, deviations[::stride])), axis=0)
+        product, pairs = np.sum(list(threads.map(products, deviations)), axis=0)
     mean = product / np.maximum(pairs, 1.0)
     return mean / mean[0] if mean[0] > 0.0 else np.eye(1, reach + 1)[0]
 
@@ -270,25 +279,25 @@ def measure_depth(
             f"{width_by_height(range_per_depth.shape)}; choose the sensor file of "
             "this camera"
         )
-    valid = np.isfinite(depth)
-    if not valid.any():
+    if not np.isfinite(depth).any():
         raise InputError(
             "depth images: no pixel has a valid depth in any frame; uncover the camera, or keep "
             "the membrane beyond the camera's shortest range, and record again"
         )
-    quantum = _quantum(depth)
+    quantum, shape = _quantum(depth), depth.shape[1:]
     flat = depth.reshape(len(depth), -1)
-    mean, sigma = np.empty((2, flat.shape[1]))
-    deviations = np.empty_like(flat)
+    validity, mean, sigma = np.empty((3, flat.shape[1]))
+    some = slice(None, None, -(-len(depth) // _IMAGES))  # neighbours in time are redundant
+    deviations = np.empty_like(flat[some])
 
-    def measure(part: slice) -> None:
-        mean[part], sigma[part], deviations[:, part] = _clipped_moments(flat[:, part], quantum)
+    def measure(part: slice) -> np.ndarray:
+        validity[part], mean[part], sigma[part], noise = _clipped_moments(flat[:, part], quantum)
+        deviations[:, part] = noise[some]
+        return _products(noise, sigma[part])
 
     with ThreadPoolExecutor(_THREADS) as threads:
-        list(threads.map(measure, _parts(len(mean))))
-    deviations = deviations.reshape(depth.shape)
-    mean, sigma = (each.reshape(depth.shape[1:]) for each in (mean, sigma))
-    temporal = temporal_correlation(deviations, sigma)
+        temporal = _correlation(threads.map(measure, _parts(len(mean))))
+    validity, mean, sigma = (each.reshape(shape) for each in (validity, mean, sigma))
     # of the variance, as the mean of the same samples is removed
     share = 1.0 - mean_inflation(temporal) / len(depth)
     variance = sigma**2 / max(share, 1.0 / len(depth))
@@ -299,10 +308,10 @@ def measure_depth(
         usual = np.abs(variance - np.nanmedian(variance)) <= quantum**2 / 4.0
         variance[usual] = variance[usual].mean()
     noise = np.sqrt(np.maximum(variance, quantum**2 / 12.0))
-    spatial = spatial_correlation(deviations, sigma, stride=-(-len(depth) // _IMAGES))
+    spatial = spatial_correlation(deviations.reshape(-1, *shape), sigma)
     return DepthStatistics(
         frames=len(depth),
-        validity=valid.mean(axis=0, dtype=np.float32),
+        validity=validity.astype(np.float32),
         range_m=mean * range_per_depth,
         scatter_m=(scatter * range_per_depth).astype(np.float32),
         noise_m=(noise * range_per_depth).astype(np.float32),
@@ -327,8 +336,8 @@ def _quantum(depth: np.ndarray) -> float:
 def _clipped_moments(
     depth: np.ndarray,  # (F, P), m
     quantum: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean and spread of the samples near each pixel's median, and their deviations.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Share of samples, mean and spread of those near each pixel's median, and deviations (F, P).
 
     The median alone would have a quantisation error; the mean alone would include outliers.
     """
@@ -346,7 +355,8 @@ def _clipped_moments(
     variance = np.sum(squares, axis=1, dtype=np.float64) / number
     deviations[~kept] = np.nan
     mean = np.where(counts > 0, median.astype(np.float64) + shift, np.nan)
-    return mean, np.where(counts > 0, np.sqrt(variance), np.nan), deviations.T
+    spread = np.where(counts > 0, np.sqrt(variance), np.nan)
+    return counts / len(depth), mean, spread, np.ascontiguousarray(deviations.T)
 
 
 def _median(samples: np.ndarray, counts: np.ndarray) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Depth statistics, correlation, rim height and pixel files on synthetic data."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -50,6 +52,16 @@ def test_the_error_of_the_mean_of_a_correlated_series():
 def test_correlated_frames_reduce_the_effective_number():
     found = measure_depth(noisy(frames=60, rho=0.6), np.ones((40, 50), np.float32))
     assert found.effective_frames == pytest.approx(60 / 4.0, rel=0.25)
+
+
+def test_statistics_take_less_memory_than_the_images():
+    depth = noisy(shape=(300, 400), sigma=5e-3)
+    tracemalloc.start()
+    try:
+        measure_depth(depth, np.ones((300, 400), np.float32))
+        assert tracemalloc.get_traced_memory()[1] < depth.nbytes
+    finally:
+        tracemalloc.stop()
 
 
 def test_white_noise_has_no_spatial_correlation():
