@@ -292,6 +292,26 @@ def test_timeline_of_36000_frames_is_fast(qtbot):
     assert timeline.frame_at(timeline.x_at(20_000)) == pytest.approx(20_000, abs=1)
 
 
+def test_time_in_which_a_live_source_was_not_solved_is_not_painted(qtbot):
+    state, times_s = SessionState(), np.arange(200) / 30.0
+    times_s[100:] += 5.0  # the window was frozen, the source sent all the while
+    state.open(SourceFacts("camera", "dome", times_s, live=True, grows=True), playing=False)
+    for frame in range(200):
+        area_m2 = 1e-4 if frame < 100 else 0.0
+        known = Numbers(status="ok", has_patch=True, area_m2=area_m2)
+        state.history.record(frame, known, patch=True)
+    timeline = Timeline(state)
+    timeline.resize(900, timeline.height())
+    seen = painted(timeline)[RULER + 3]
+    for time_s, colour in (
+        *((1.0, theme.CONTACT), (3.2, theme.CONTACT), (3.6, theme.DARK.field)),
+        *((8.0, theme.DARK.field), (8.5, theme.DARK.free), (11.0, theme.DARK.free)),
+    ):
+        begin, end = timeline.x_at(0), timeline.x_at(199)
+        x = begin + (end - begin) * time_s / times_s[-1]
+        assert tuple(seen[round(x)]) == rgb(colour)
+
+
 @pytest.mark.timeout(60)
 def test_absurd_duration_is_drawn_with_a_few_time_labels(qtbot, monkeypatch):
     """Of a stamp of the far future."""

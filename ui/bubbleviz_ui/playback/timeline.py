@@ -274,5 +274,12 @@ class Timeline(QWidget):
 
 
 def columns(contact: np.ndarray, axis: TimeAxis, width: int) -> np.ndarray:
-    """Highest contact state (width,) of the frames (F,) in each screen column."""
-    return np.maximum.reduceat(contact, axis.nearest(np.linspace(0.0, 1.0, width)))
+    """Highest contact state (width,) of the frames (F,) in each screen column.
+
+    Unknown further than a usual step from any frame: a live source was not solved meanwhile.
+    """
+    places = np.linspace(0.0, 1.0, width)
+    frames = axis.nearest(places)
+    known = np.maximum.reduceat(contact, frames)
+    away = np.abs(axis.places[frames] - places) > max(axis.step, 1.0 / width)
+    return np.where(away, np.int8(UNKNOWN), known)
