@@ -148,7 +148,7 @@ class PanelWindow(QMainWindow):
             Calibration(controller, self.undo_recorder), state.units
         )
         self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
-        self.overlay = PoseOverlay(self.view, self.scene, self.pose.session)
+        self.overlay = PoseOverlay(self.view, self.scene, self.pose.session, state)
         self.shear = ShearPanel(state, controller)
         self.pair = SensorPair(controller, self.scene, self.view)
         self.second_membrane = SecondMembrane(controller, self.scene, self.view)

@@ -298,6 +298,38 @@ def test_tracking_export_undo_of_reset_and_curves(bench, source, tmp_path, monke
         assert curve.curve.opts["connect"] == "finite" and curve.curve.opts["symbol"] == "o"
 
 
+def test_without_the_panel_an_object_is_drawn_only_where_it_was_found(drive, source):
+    press, away = np.eye(4), np.eye(4)
+    press[:3, 3], away[:3, 3] = TRUE, TRUE + np.array([0.0, 0.0, 0.1])
+    poses, noise = np.stack([press, press, away]), DepthNoise(relative=0.005)
+    frames = SyntheticSource(source.sensor, load_object("frustum"), poses, noise, nodes=3_000)
+    bench = Bench(drive(lambda _: frames, sensor=source.sensor))
+    bench.choose_object("frustum")
+    bench.click(bench.panel.track)
+    bench.wait(lambda: bench.text("state") == FLAT)
+    bench.seek(2)
+    bench.wait(lambda: bench.text("state") == "no contact; the last good pose is kept")
+    assert bench.drawn() == NEUTRAL
+    bench.window.use_scene(load_scene("press"))
+    bench.wait_until_shown()
+    drawn = bench.window.scene.object.actor
+    assert not drawn.GetVisibility()
+    bench.seek(0)
+    assert drawn.GetVisibility() and bench.drawn() == AMBER
+    bench.state.change(pose_track=False)
+    bench.seek(1)
+    assert not drawn.GetVisibility()  # found in another frame
+    bench.show("pose")
+    bench.wait(lambda: bench.text("state") == f"{FLAT}; of frame 0")
+    assert drawn.GetVisibility()
+    bench.window.panels["pose"].hide()
+    bench.seek(0)
+    assert drawn.GetVisibility()
+    bench.key(Qt.Key.Key_F, CTRL | SHIFT)
+    bench.wait_until_shown()
+    assert not drawn.GetVisibility()
+
+
 def test_patch_by_the_object_is_shown_with_the_patch_and_follows_the_pose(bench):
     """Both outlines in their colours and both areas as text; not computed before."""
     driver, window = bench, bench.window

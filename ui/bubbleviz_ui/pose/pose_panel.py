@@ -315,7 +315,7 @@ class PosePanel(QWidget):
     def _copy(self) -> None:
         pose = self.session.pose
         if has_pose(pose):
-            QGuiApplication.clipboard().setText(pose_report(pose))
+            QGuiApplication.clipboard().setText(pose_report(pose, self.session.touched))
 
     def _on_object(self) -> None:
         name = self.object.currentData()

@@ -53,7 +53,8 @@ def pose_texts(session: PoseSession, units: Units) -> dict[str, str]:
     elif pose is None:
         texts["state"] = "not fitted yet"
     else:
-        texts["state"] = status_text(pose)
+        elsewhere = "" if session.here else f"; of frame {session.pose_frame}"
+        texts["state"] = status_text(pose, session.touched) + elsewhere
     if has_pose(pose):
         texts["place"], texts["turn"] = _place(pose.T_B_O, units), _turn(pose.T_B_O)
     if pose is None or pose.stage_one is None or pose.stage_two is None:
@@ -68,9 +69,11 @@ def pose_texts(session: PoseSession, units: Units) -> dict[str, str]:
     return texts
 
 
-def status_text(pose: Pose) -> str:
-    """Status, and the number of directions not determined by the contact."""
+def status_text(pose: Pose, touched: bool) -> str:
+    """Status, and the number of directions not determined by the contact, if there is one."""
     left = int(np.count_nonzero(~pose.determined)) if pose.status == "ok" else 0
+    if pose.status == "lost" and not touched:
+        return "no contact; the last good pose is kept"
     if pose.status == "lost" and not has_pose(pose):
         return "not found yet"
     return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
@@ -81,12 +84,12 @@ def has_pose(pose: Pose | None) -> TypeGuard[Pose]:
     return pose is not None and bool(np.isfinite(pose.T_B_O).all())
 
 
-def pose_report(pose: Pose) -> str:
+def pose_report(pose: Pose, touched: bool) -> str:
     """T_B_O as text with units, for other programs."""
     numbers = pose_numbers(pose.T_B_O)
     return "\n".join(
         [
-            f"T_B_O, object to bubble frame: {status_text(pose)}",
+            f"T_B_O, object to bubble frame: {status_text(pose, touched)}",
             f"position x y z, m: {_digits(numbers[:3])}",
             f"quaternion x y z w, no unit: {_digits(numbers[3:])}",
             "matrix 4×4, translation in m:",
@@ -155,6 +158,9 @@ class PoseSession(QObject):
         self.start: np.ndarray | None = None  # (4, 4) initial pose T_B_O; None: global search
         self._loaded: tuple[str | None, FileUnit | None] = (None, None)
         self.pose: Pose | None = None  # Of the frame shown, or the last one found
+        self.touched = True  # Whether anything touches in the frame of `pose`
+        self.pose_frame: int | None = None
+        self.here = False  # Whether that is the frame shown
         self.busy = False  # A single fit is running
         self.problem = ""  # Why the chosen object was rejected
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
@@ -320,16 +326,16 @@ class PoseSession(QObject):
         self.changed.emit()
 
     def _on_shown(self, result: Result) -> None:
-        index = result.frame.index
+        index, new = result.frame.index, result.pose is not None and result.pose is not self.pose
         stale = bool(self.others) and index != self._searched
         if stale:
             self.others = []
-        if result.pose is None or result.pose is self.pose:
-            if stale:
-                self.changed.emit()
-            return
-        self.pose = result.pose
-        if len(result.pose.others):
-            self.others, self._searched = [*result.pose.others], index
-        self.rows[index] = pose_row(result)
-        self.changed.emit()
+        if result.pose is not None and new:
+            self.pose, self.pose_frame = result.pose, index
+            self.touched = result.estimate is None or result.estimate.status != "no_contact"
+            if len(result.pose.others):
+                self.others, self._searched = [*result.pose.others], index
+            self.rows[index] = pose_row(result)
+        before, self.here = self.here, index == self.pose_frame
+        if new or stale or before != self.here:
+            self.changed.emit()

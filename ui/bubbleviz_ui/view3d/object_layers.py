@@ -44,12 +44,16 @@ class ObjectLayer(Layer):
         """Hide the object until it has a pose on the new sensor."""
         self.put(None)
 
-    def show_pose(self, pose: Pose, stage: int) -> None:
-        """Draw it at a stage of a pose, coloured by how well that is determined."""
+    def show_pose(self, pose: Pose, stage: int, *, touched: bool) -> None:
+        """Draw it at a stage of a pose, coloured by how well that is determined.
+
+        Neutral where nothing touches.
+        """
         known = DETERMINED if pose.determined.all() else UNDETERMINED
         first = pose.stage_one if stage == 1 else None
         T_B_O = pose.T_B_O if first is None else first.T_B_O
-        self.put(T_B_O, known if pose.status == "ok" else LOST)
+        missing = LOST if touched else theme.NEUTRAL
+        self.put(T_B_O, known if pose.status == "ok" else missing)
 
     def put(self, T_B_O: np.ndarray | None, colour: str = DETERMINED) -> None:
         """Draw it at a pose (4, 4); None hides it."""
