@@ -113,7 +113,7 @@ class Bench(Driver):
         """Press it again and wait until the file is whole."""
         path = Path(self.status().path)
         self.window.live.record.click()
-        self.wait(lambda: f"Recorded {path}" in self.window.notice.label.text())
+        self.wait(lambda: f"Recorded {path}" in self.window.notice.label.toolTip())
         return path
 
 

@@ -234,7 +234,8 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
     monkeypatch.setattr(calibration_panel, "new_file", answer)
     bench.click(panel.save_as)
     window = bench.window
-    assert f"Saved {out}" in window.notice.label.text() and not window.message.isVisible()
+    assert window.notice.label.text() == f"Saved {out.name} and {out.stem}_report"
+    assert not window.message.isVisible()
     assert panel.steps.button(6).toolTip() == "Report: done"
     sensor = load_sensor(out)
     assert sensor.name == "mine"  # not the name of the initial sensor

@@ -52,7 +52,7 @@ class Bench(Driver):
         window = self.window
         problem, made = self.dialog.problem.text(), self.dialog.made.text()
         assert not window.message.isVisible()  # shown only in the dialog
-        assert problem or made == window.notice.label.text()
+        assert problem or made == window.notice.label.toolTip()
         return problem or made
 
 

@@ -123,7 +123,7 @@ def test_sensor_panel_shows_name_and_file_and_saves_an_edited_copy(bench, left, 
     assert saved.calibration.pixels_file == "right.npz" and left.read_bytes() == before
     assert "right.toml" in bench.window.windowTitle() and bench.panel.edit.isVisible()
     bench.wait(lambda: bench.panel.identified.text().endswith("UTC, edited since"))
-    assert f"Saved {copy}" in bench.window.notice.label.text()
+    assert f"Saved {copy}" in bench.window.notice.label.toolTip()
     # named without its suffix it is a TOML file
     monkeypatch.undo()
     bench.click(bench.panel.edit)

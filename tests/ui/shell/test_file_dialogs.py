@@ -28,7 +28,7 @@ def test_dialogs_ask_before_replacing_add_suffixes_remember_folders_and_leave_sp
         (path,) = set(tmp_path.iterdir()) - before
         assert path.name in ("shot.png", "shot.v2")
         assert path.read_bytes().startswith(b"\x89PNG") and not QImage(str(path)).isNull()
-        assert str(path) in driver.window.notice.label.text()
+        assert str(path) in driver.window.notice.label.toolTip()
         assert not driver.window.message.isVisible()
     # a dialog comes back to the last folder of its kind
     asked: list[tuple[str, str]] = []

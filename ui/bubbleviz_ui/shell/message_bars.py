@@ -30,8 +30,8 @@ NOTICE_MS = 6000
 """Duration of a notice, enough to read a path and click a button."""
 GAP = 16
 """Distance of a notice from the menus, screen pixels."""
-MOST_LINES = 2
-"""Lines of a text seen without scrolling: the 3-D view keeps its height in a small window."""
+SHARE = 0.2
+"""Of the window's height, seen of a text without scrolling: most of it is for the 3-D view."""
 HINT = (
     "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → step by one frame. "
     "Ctrl+K finds all commands; hold the mouse over a control to see what it does."
@@ -39,7 +39,7 @@ HINT = (
 
 
 class ScrolledText(QScrollArea):
-    """A text in lines, scrolled beyond `MOST_LINES`."""
+    """A text in lines, scrolled beyond `SHARE` of the window's height."""
 
     def __init__(self) -> None:
         super().__init__(widgetResizable=True)
@@ -66,7 +66,7 @@ class ScrolledText(QScrollArea):
 
     def heightForWidth(self, width: int) -> int:
         """Height of the lines seen, screen pixels."""
-        most = MOST_LINES * self.fontMetrics().lineSpacing()
+        most = round(SHARE * self.window().height())
         return min(self._label.heightForWidth(width), most)
 
     def sizeHint(self) -> QSize:
@@ -192,9 +192,10 @@ class NoticeBar(QFrame):
 
     def show_message(self, message: UserMessage) -> None:
         """Show a message in place of the previous one."""
-        self.label.setText(message.text)
-        self.label.setToolTip(message.text)
         self._file = None if message.file is None else message.file.absolute()
+        folder = "" if message.file is None else f"{message.file.parent}/"
+        self.label.setText(message.text.replace(folder, ""))
+        self.label.setToolTip(message.text)
         for button in (self.open, self.folder):
             button.setVisible(self._file is not None)
         self._due.start(NOTICE_MS)
