@@ -85,7 +85,8 @@ class Inspection:
     # (H, W) images by name: `depth`, `change` and `residual` of the range, `noise` (its σ), in m;
     # `used`, bool; `flow`, length of the motion in the colour image by blocks, pixels
     images: dict[str, np.ndarray] = field(default_factory=dict)
-    ends: dict[str, tuple[float, float]] = field(default_factory=dict)  # of each colour scale
+    # of each colour scale; none for an image without any value
+    ends: dict[str, tuple[float, float]] = field(default_factory=dict)
     colour: FrameColour | None = None
     no_flow: str = ""  # why there is no flow image; empty where `reference` says why
     reference: str = ""  # reference frame of shear, as text; empty if not requested
@@ -126,7 +127,7 @@ def inspection(
                 images[name] = image
             elif name == "flow":
                 why = _no_flow(pipeline, result)
-    ends = {name: _ends(image) for name, image in images.items()}
+    ends = {name: found for name, image in images.items() if (found := _ends(image)) is not None}
     return Inspection(images, ends, colour, why, kappa_curve=curve, components=parts)
 
 
@@ -157,12 +158,12 @@ def _no_flow(pipeline: Pipeline, result: Result) -> str:
     return "" if pipeline.optical_flow is None else "no colour image at this time"
 
 
-def _ends(image: np.ndarray) -> tuple[float, float]:
-    """Range of almost all values of an image, from a sample of ten thousand."""
+def _ends(image: np.ndarray) -> tuple[float, float] | None:
+    """Range of almost all values of an image, from a sample of ten thousand; None without any."""
     values = image.ravel()[:: max(1, image.size // 10_000)].astype(float)
     values = values[np.isfinite(values)]
     if not len(values):
-        return 0.0, 1.0
+        return None
     low, high = np.percentile(values, [_CLIPPED_PERCENT, 100.0 - _CLIPPED_PERCENT])
     return float(low), float(high)
 

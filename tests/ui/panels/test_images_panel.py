@@ -1,9 +1,11 @@
 """Images by mouse: the place under it in the image, in 3-D and in numbers; hidden ones not made."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from fakes import FRAMES, DentSource
 from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtWidgets import QApplication
 from window_driver import (
@@ -255,3 +257,27 @@ def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, m
 )
 def test_grid_with_the_largest_images(images, width, height, columns):
     assert best_columns(images, width, height) == columns
+
+
+class BlankSource(DentSource):
+    """The dent; its last frame has no return."""
+
+    def __getitem__(self, index):
+        frame = super().__getitem__(index)
+        blank = np.full_like(frame.depth_m, np.nan)
+        return replace(frame, depth_m=blank) if index == FRAMES - 1 else frame
+
+
+def test_a_frame_without_returns_says_so_and_keeps_the_scales(drive):
+    driver = drive(BlankSource)
+    panel = opened(driver, "depth", "change")
+    driver.seek(6)
+    driver.wait_until_shown()
+    cells = [panel.cells[name] for name in ("depth", "change")]
+    before = [cell.text for cell in cells]
+    assert all(" mm" in text for text in before)
+    driver.seek(FRAMES - 1)
+    driver.wait(lambda: all("no returns in this frame" in cell.text for cell in cells))
+    assert all(" mm" not in cell.text and cell.image is None for cell in cells)
+    driver.seek(6)
+    driver.wait(lambda: [cell.text for cell in cells] == before)

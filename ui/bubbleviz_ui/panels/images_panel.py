@@ -301,6 +301,8 @@ class ImagesPanel(QWidget):
         reasons = {"flow": inspection.no_flow or inspection.reference}
         if inspection.colour is not None:
             images["colour"], reasons["colour"] = inspection.colour.rgb, inspection.colour.reason
+        for name in inspection.images.keys() - inspection.ends.keys():
+            images[name], reasons[name] = None, "no returns in this frame"
         self._residual_max_m = self._scales.of(self._state.settings).residual_m
         for name in self._state.settings.images:
             ends, why = inspection.ends.get(name), reasons.get(name, "")
