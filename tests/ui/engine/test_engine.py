@@ -325,22 +325,25 @@ print(held - before, resident_mib() - before)
     assert kept < 30.0
 
 
-def test_memory_is_released_when_idle_and_not_during_playback(qtbot, wait):
-    state, given, idle_ms = SessionState(), Event(), 20
+def test_memory_is_released_when_idle_or_grown_and_not_else_during_playback(qtbot, wait):
+    state, given, tick_ms, held_mib = SessionState(), Event(), 20, [500.0]
     state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=True)
-    giving = MemoryRelease(state, given.set, idle_ms)
-    timer = QTimer(interval=idle_ms)  # same period as the tested timer
+    giving = MemoryRelease(state, given.set, tick_ms, lambda: held_mib[0])
+    timer = QTimer(interval=tick_ms)  # same period as the tested timer
+    timer.timeout.connect(lambda: state.frame_changed.emit(1, True))
     timer.start()
-    for _ in range(3):
-        qtbot.waitSignal(timer.timeout, timeout=PATIENCE_MS).wait()
-    assert not given.is_set()
-    state.set_playing(False)
+    for more_mib, released in ((50.0, False), (100.0, True), (50.0, False)):
+        given.clear()
+        held_mib[0] += more_mib
+        for _ in range(6):
+            qtbot.waitSignal(timer.timeout, timeout=PATIENCE_MS).wait()
+        assert given.is_set() == released
+    timer.stop()
     wait(given.is_set)
     giving.close()
 
 
-@pytest.mark.parametrize("playing", [False, True])
-def test_closed_sources_are_collected_when_idle_and_during_endless_playback(wait, playing):
+def test_closed_sources_are_collected_when_idle(wait):
     class Held:
         """Refers to itself, as the objects of a source do."""
 
@@ -348,10 +351,10 @@ def test_closed_sources_are_collected_when_idle_and_during_endless_playback(wait
             self.itself = self
 
     state, given = SessionState(), Event()
-    giving = MemoryRelease(state, given.set, 20, 0.05)
+    giving = MemoryRelease(state, given.set, 20)
     closed = weakref.ref(Held())
     assert closed() is not None
-    state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=playing)
+    state.open(SourceFacts("press", "dome", np.arange(10) / 20.0), playing=False)
     wait(given.is_set)
     assert closed() is None
     giving.close()

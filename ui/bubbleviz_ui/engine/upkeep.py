@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import mmap
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from PySide6.QtCore import QCoreApplication, QObject, QTimer
@@ -48,9 +49,11 @@ def _collect() -> None:
 # Release of unused memory to the system.
 
 
-IDLE_MS = 3000
-PLAYING_EVERY_S = 10.0
-"""Period during playback, which may never end; at 60 Hz about 3 MB/s accumulate."""
+TICK_MS = 1000
+IDLE_TICKS = 3
+"""Ticks without a change after which the window is idle."""
+GROWTH_MIB = 64.0
+"""Growth after which memory is released in use: the most that is held in vain, about a tenth."""
 
 
 def release_memory() -> None:
@@ -61,10 +64,19 @@ def release_memory() -> None:
             trim(0)
 
 
-class MemoryRelease(QObject):
-    """Releases unused memory when the window is idle, in a thread.
+def resident_mib() -> float:
+    """Resident memory of this process, MiB; 0 where the system has no such file."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except OSError:
+        return 0.0
+    return pages * mmap.PAGESIZE / 2**20
 
-    Rarely during playback: allocations block meanwhile, for longer than one picture.
+
+class MemoryRelease(QObject):
+    """Releases unused memory when the window is idle or memory has grown, in a thread.
+
+    Not more often: allocations block meanwhile, for longer than one picture.
 
     A closed source is a cycle of few objects and a hundred MB, which no threshold of Python's
     garbage collection counts.
@@ -74,16 +86,16 @@ class MemoryRelease(QObject):
         self,
         state: SessionState,
         release: Callable[[], None] = release_memory,  # Called in a thread
-        idle_ms: int = IDLE_MS,
-        playing_every_s: float = PLAYING_EVERY_S,
+        tick_ms: int = TICK_MS,
+        resident_mib: Callable[[], float] = resident_mib,
     ) -> None:
         super().__init__()
-        self._state, self._release, self._playing_every_s = state, release, playing_every_s
-        self._active, self._last_s = True, time.monotonic()
+        self._release, self._resident_mib = release, resident_mib
+        self._unchanged, self._kept_mib = 0, resident_mib()
         self._worker = Worker("memory")
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._on_tick)
-        self._timer.start(idle_ms)
+        self._timer.start(tick_ms)
         for changed in (state.source_changed, state.settings_changed, state.frame_changed,
                         state.history_changed, state.playing_changed):  # fmt: skip
             changed.connect(self._on_changed)
@@ -94,15 +106,18 @@ class MemoryRelease(QObject):
         self._worker.close()
 
     def _on_changed(self) -> None:
-        self._active = True
+        self._unchanged = 0
 
     def _on_tick(self) -> None:
-        now = time.monotonic()
-        overdue = now - self._last_s > self._playing_every_s
-        if self._active and (overdue or not self._state.playing):
-            self._active, self._last_s = False, now
+        self._unchanged += 1
+        held_mib = self._resident_mib() - self._kept_mib
+        if self._unchanged == IDLE_TICKS or held_mib > GROWTH_MIB:
             gc.collect()  # here, see above; milliseconds, as imported modules are frozen
-            self._worker.submit(self._release)
+            self._kept_mib += held_mib
+            self._worker.submit(self._release, lambda _: self._measure())
+
+    def _measure(self) -> None:
+        self._kept_mib = self._resident_mib()
 
 
 # ^C and SIGTERM as events of the Qt event loop.
