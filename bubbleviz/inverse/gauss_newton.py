@@ -32,7 +32,7 @@ from bubbleviz.inverse.measurements import (
 from bubbleviz.inverse.noise import Noise, are_neighbours
 from bubbleviz.inverse.pivoting import part
 from bubbleviz.inverse.plausibility import contradicts_measured_gas, gas_sigma
-from bubbleviz.inverse.resolution import resolution_m, sampled, universal_threshold
+from bubbleviz.inverse.resolution import SAMPLE, resolution_m, universal_threshold
 from bubbleviz.inverse.response import BALANCED_MOTION, Bubble, Tangent
 from bubbleviz.membrane import Gas, connected_parts, grown
 
@@ -253,7 +253,7 @@ class GaussNewton:
         mesh, view = self.mesh, self._view_at_rest
         weight = self.observer.observe_everything().weight[view.block]
         n = len(mesh.free)
-        sample = mesh.free[sampled(n)]
+        sample = mesh.free[:: max(1, n // SAMPLE)]
         D = sparse.diags_array(np.sqrt(weight)) @ view.jacobian
         sigma = np.linalg.norm(D @ self._rest_tangent[False].responses(sample), axis=0)
         self._tau = universal_threshold(sigma / mesh.areas[sample], n) * mesh.areas

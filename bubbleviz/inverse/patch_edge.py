@@ -21,7 +21,7 @@ from math import ceil, log, sqrt
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from bubbleviz.inverse.resolution import MESH_BLUR, blur_m
+from bubbleviz.inverse.resolution import MESH_BLUR
 from bubbleviz.membrane import MembraneMesh, grown, level_line
 
 # The part of a mesh around a set of nodes: neighbours, smoothing, distance to a contour.
@@ -150,8 +150,8 @@ class PatchEdge:
         self.edge_length_m = edge_length_m
 
     def blur_m(self, resolution_m: float) -> float:
-        """ℓ for a resolution of the estimate, m."""
-        return blur_m(resolution_m, self.edge_length_m)
+        """ℓ for a resolution of the estimate, m: at least the blur by the mesh."""
+        return max(resolution_m, MESH_BLUR * self.edge_length_m)
 
     def level_set(
         self, contact_pressure_pa: np.ndarray, gauge_pressure_pa: float, resolution_m: float

@@ -31,11 +31,6 @@ MESH_BLUR = 0.5
 """ℓ of the blur by a mesh, in its edges."""
 
 
-def blur_m(resolution_m: float, edge_length_m: float) -> float:
-    """ℓ of an estimate on a mesh, m: at least the blur by the mesh."""
-    return max(resolution_m, MESH_BLUR * edge_length_m)
-
-
 def at_noise(resolution_m: float, factor: float) -> float:
     """Width ℓ for noise larger by a factor, m: w decreases with its square."""
     return resolution_m * factor ** (1.0 / 3.0)
@@ -44,13 +39,8 @@ def at_noise(resolution_m: float, factor: float) -> float:
 # Detection threshold: the weight of the L1 term.
 
 
-_SAMPLE = 200
+SAMPLE = 200
 """Number of nodes, spread over the membrane, of which the most precisely observed is taken."""
-
-
-def sampled(n: int) -> np.ndarray:
-    """Indices of some of n nodes, evenly spread."""
-    return np.arange(0, n, max(1, n // _SAMPLE))
 
 
 def universal_threshold(sigma: np.ndarray, n: int) -> float:
