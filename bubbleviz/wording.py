@@ -17,6 +17,11 @@ def counted(numbers: Mapping[str, int]) -> str:
     return ", ".join(f"{number} {name}" for name, number in numbers.items())
 
 
+def minutes_and_seconds(seconds: float) -> str:
+    """`12:05`: a duration without fractions of a second."""
+    return "{:02d}:{:02d}".format(*divmod(int(seconds), 60))
+
+
 def decimals_of(half_width: float, most: int) -> int:
     """Decimals that show an uncertainty to two significant digits, at most `most`.
 

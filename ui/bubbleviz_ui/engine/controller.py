@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -43,7 +44,7 @@ class Analysis(QObject):
         self._state, self._client = state, client
         self._frames: tuple[int, ...] = ()
         self._products: frozenset[Product] = frozenset()
-        self._count, self._cached_only = 0, False
+        self._count, self._began_s, self._cached_only = 0, 0.0, False
         state.follow(PATCH_SETTINGS, self._recompute_patches)
 
     @property
@@ -51,11 +52,21 @@ class Analysis(QObject):
         """Whether it is running."""
         return bool(self._frames)
 
+    @property
+    def remaining_s(self) -> float:
+        """Time until the end at the mean rate so far; NaN before the first frame."""
+        left = len(self._frames)
+        done = self._count - left
+        return left / done * (time.monotonic() - self._began_s) if done else math.nan
+
     def start(self) -> None:
         """Compute what the chosen plots need and is missing, for all frames.
 
-        With colour where it is in use: all numbers are then by depth and colour.
+        With colour where it is in use: all numbers are then by depth and colour. Playback pauses:
+        the solver analyses while it is idle.
         """
+        if not self.busy and self._state.facts is not None and not self._state.facts.live:
+            self._state.set_playing(False)
         products = plot_products(self._state.settings)
         if needed_products(self._state.settings) & FLOW_PRODUCTS:
             products |= {"traction"}
@@ -87,7 +98,7 @@ class Analysis(QObject):
     ) -> None:
         self._products, self._cached_only = products, cached_only
         self._frames = tuple(int(k) for k in frames)
-        self._count = len(self._frames)
+        self._count, self._began_s = len(self._frames), time.monotonic()
         self._request_rest()
 
     def _request_rest(self) -> None:

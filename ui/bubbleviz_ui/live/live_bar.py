@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 from bubbleviz.live import Counters, LatencyMeter, LatencyReport
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
-from bubbleviz.wording import count_of
+from bubbleviz.wording import count_of, minutes_and_seconds
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import new_name
@@ -203,10 +203,9 @@ class LiveBar(QFrame):
             self.note.hide()
         if status is None:
             return []
-        minutes, seconds = divmod(int(recording.elapsed_s), 60)
         written, waiting = (size / 1e6 for size in (status.size_bytes, status.waiting_bytes))
         return [
-            f"{minutes:02d}:{seconds:02d} · {written:.1f} MB · "
+            f"{minutes_and_seconds(recording.elapsed_s)} · {written:.1f} MB · "
             f"{count_of(status.messages, 'message')} · {waiting:.1f} MB unwritten"
         ]
 

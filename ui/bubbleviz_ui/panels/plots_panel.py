@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from PySide6.QtCore import QPointF, QSize
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QVBoxLayout, QWidget
 
+from bubbleviz.wording import minutes_and_seconds
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.registry import PLOTS
 from bubbleviz_ui.model.session_state import SessionState
@@ -87,7 +89,7 @@ class PlotsPanel(QWidget):
             margins=(8, 4, 8, 4),
             spacing=4,
         )
-        self.progress.setFixedWidth(160)
+        self.progress.setFixedWidth(200)
         self.progress.hide()
         self.cancel.hide()
 
@@ -121,7 +123,9 @@ class PlotsPanel(QWidget):
         self.analyse.setEnabled(not busy)
         self.progress.setMaximum(max(frames, 1))
         self.progress.setValue(done)
-        self.progress.setFormat(f"{done} / {frames}")
+        left_s = self._controller.analysis.remaining_s
+        left = "" if math.isnan(left_s) else f", {minutes_and_seconds(left_s)} left"
+        self.progress.setFormat(f"{done} / {frames}{left}")
 
     def _on_seen(self) -> None:
         self._arrange()
