@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, Self, get_args, overload
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import OneBlasThread
+from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError, check_choice, check_number
 from bubbleviz.files import checked_pose, parse_pose, read_path, whole_file
 from bubbleviz.membrane import build_mesh
@@ -26,6 +27,22 @@ from bubbleviz.simulation import (
     Truth,
     press_path,
 )
+from bubbleviz.wording import count_of
+
+
+@dataclass(frozen=True)
+class SimulationSummary(Summary):
+    """Summary of a saved simulation."""
+
+    out: str
+    frames: int
+    max_force_n: float  # largest magnitude; 0 if the object touches nothing
+
+    def to_text(self) -> str:
+        """Text for the terminal."""
+        force = f"largest force {self.max_force_n:.3g} N"
+        force = force if self.max_force_n else "the object touches nothing"
+        return f"wrote   {self.out}: {count_of(self.frames, 'frame')}, {force}"
 
 
 class Simulation(Frames):
@@ -61,7 +78,7 @@ class Simulation(Frames):
         *,
         overwrite: bool = False,
         progress: Progress = quiet,
-    ) -> None:
+    ) -> SimulationSummary:
         """Write all frames as a recording, and TRUTH.npz if requested; in case of errors nothing.
 
         Raises
@@ -73,12 +90,14 @@ class Simulation(Frames):
         """
         if truth is not None and Path(truth).absolute() == Path(out).absolute():
             raise InputError(f"{out}: given for both --out and --truth; choose two names")
-        truths: list[Truth] = []
+        truths, largest_n = list[Truth](), 0.0
         with OneBlasThread(), ExitStack() as stack:
             file = truth and stack.enter_context(whole_file(truth, ".npz", overwrite=overwrite))
             writer = stack.enter_context(RecordingWriter(out, overwrite=overwrite))
             for done, index in enumerate(self.chosen, 1):
                 writer.write(self.source[index])
+                force = self.source.contact(index).nodal_force_n.sum(axis=0)
+                largest_n = max(largest_n, float(np.linalg.norm(force)))
                 if file:
                     truths.append(self.source.truth(index))
                 progress("simulating", done / len(self))
@@ -86,6 +105,7 @@ class Simulation(Frames):
                 arrays: dict[str, Any] = _truth_arrays(self.source, self.chosen, truths)
                 with file.open("wb") as opened:
                     np.savez_compressed(opened, **arrays)
+        return SimulationSummary(str(out), len(self), largest_n)
 
 
 def simulate(

@@ -145,7 +145,6 @@ class Verb:
     former: Mapping[str, str] = field(default_factory=dict)  # parameters by hidden former names
     extra: tuple[click.Option, ...] = ()
     call: Callable[..., None] | None = None  # called instead of the function
-    prints: bool = True
 
     def command(self, name: str) -> click.Command:
         """The command; its function is imported when it runs."""
@@ -165,8 +164,9 @@ class Verb:
             *self.extra,
         ]
         call = self.call or partial(run_on_frames if self.opening else run, self.verb)
-        command = click.Command(name, params=params, callback=_checked(call), help=own.text)
-        return json_option(command) if self.prints else command
+        return json_option(
+            click.Command(name, params=params, callback=_checked(call), help=own.text)
+        )
 
 
 def _checked(call: Callable[..., Any]) -> Callable[..., None]:

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 import bubbleviz as bv
-from bubbleviz.cli.binding import PATH, Bar, Verb, run, run_on_frames
+from bubbleviz.cli.binding import PATH, Bar, Verb, report, run, run_on_frames
 
 _OUT, _REC = ("out",), ("depth_topic", "frames")  # arguments of Verb that several commands share
 _ZERO = {"--zero/--no-zero": "zero_gas"}
@@ -37,6 +37,7 @@ def _simulate(
     overwrite: bool,
     drag_mm: float,
     twist_deg: float,
+    as_json: bool,
     **options: Any,
 ) -> None:
     poses = path or pose
@@ -46,7 +47,8 @@ def _simulate(
     options["twist_rad"] += radians(twist_deg)
     press = bv.simulate(sensor, object, poses, **options)
     with Bar() as bar:
-        press.save(out, truth, overwrite=overwrite, progress=bar)
+        written = press.save(out, truth, overwrite=overwrite, progress=bar)
+    report(written, as_json=as_json)
 
 
 def _identify(*, levels: Any, vented: Any, **options: Any) -> None:
@@ -68,7 +70,6 @@ VERBS = {
     "simulate": Verb(
         "simulate",
         call=_simulate,
-        prints=False,
         without=("pose",),
         extra=(
             click.Option(

@@ -33,9 +33,13 @@ def test_path_of_poses_gives_frames_and_ground_truth(sensor_file, tmp_path):
     )
     truth = tmp_path / "truth.npz"
     both = ("--pose", "0 0 1 0 0 0 1", "--path", poses)  # the path counts
-    output_of(*words_of(sensor_file, tmp_path, "--object", "sphere", *both, "--truth", truth))
+    told = output_of(
+        *words_of(sensor_file, tmp_path, "--object", "sphere", *both, "--truth", truth)
+    )
     recording = Recording(tmp_path / "out.mcap")
     data = np.load(truth)
+    force = np.linalg.norm(data["force_n"], axis=1).max()
+    assert told == f"wrote   {tmp_path / 'out.mcap'}: 3 frames, largest force {force:.3g} N\n"
     np.testing.assert_allclose(recording.times_s, [0.0, 0.1, 0.25], atol=1e-6)
     assert data["status"].tolist() == ["no_contact", "ok", "ok"]
     assert data["patch_mask"].shape == (3, 48, 64)
@@ -53,6 +57,12 @@ def test_path_of_poses_gives_frames_and_ground_truth(sensor_file, tmp_path):
     assert mask.sum() >= 10
     assert np.abs(radius - 0.015).mean() < 1.5e-4  # chords of 3 mm edges sink 0.1 mm in
     recording.close()
+
+
+def test_an_object_that_touches_nothing_is_told(sensor_file, tmp_path):
+    above = "--object", "sphere", "--pose", "0 0 0.060 0 0 0 1", "--frames", 2
+    told = output_of(*words_of(sensor_file, tmp_path, *above))
+    assert told.endswith("out.mcap: 2 frames, the object touches nothing\n")
 
 
 def depths(sensor_file, folder, *options):
