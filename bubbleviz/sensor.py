@@ -259,6 +259,8 @@ def load_sensor(name: str | Path | Sensor) -> Sensor:
         return name
     path = named_file(name, presets_folder("sensors"), "sensor file")
     data = read_toml(path)
+    if "membrane" not in data:
+        raise InputError(f"{path}: not a sensor file (no [membrane]); choose one")
     for key in ("folder", "file"):
         if key in data:
             raise InputError(f"{path}: {key}: unknown key; remove it")

@@ -61,6 +61,7 @@ REFUSED = [
     ("batch nope", "--sensor S --out out", "nope: no such folder"),
     ("estimate nope.mcap", "--sensor S --out r.npz", "nope.mcap: no such recording"),
     ("estimate", "r.npz --sensor nope.toml", "no such sensor file; give a .toml file or one of"),
+    ("estimate", "r.npz --sensor other.toml", "other.toml: not a sensor file (no [membrane])"),
     ("estimate", "r.npz --shear", "no colour images of this sensor in a known encoding"),
     ("estimate", "r.npz --colour-delay -0.05", "--colour-delay needs --shear"),
     ("estimate", "r.npz --shear --colour-delay -83", "-83.0: give a finite number from -0.5 to"),
@@ -106,6 +107,7 @@ def test_refused_in_one_line_and_nothing_is_written(
     (tmp_path / "poses.csv").write_text(
         "x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0.05,0,0,0,1\n0,0,nan,0,0,0,1\n"
     )
+    (tmp_path / "other.toml").write_text("[project]\nname = 'other'\n")
     before = sorted(tmp_path.rglob("*"))
     given = {"REC": press, "S": sensor, "POSE": "0.004 0 0.040 0 0 0 1"}
     line = f"{command.split(' at')[0]} {USUAL.get(command, '')} {more}"
