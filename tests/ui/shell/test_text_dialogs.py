@@ -54,7 +54,12 @@ def test_information_and_documentation_dialogs(drive, sensor, tmp_path):
         driver.bot.keyClick(dialog.search, Qt.Key.Key_Return)
     assert "glossary.md" in {name for name, _ in seen} and len(seen) > 2
     assert not dialog.missed.text()
-    driver.type(dialog.search, "no page has this")
+    # words that stand in one paragraph, in no page next to each other
+    driver.type(dialog.search, "interval FORCE recording")
+    found = dialog.page.textCursor().selectedText().lower()
+    assert all(word in found for word in ("interval", "force", "recording"))
+    assert not dialog.missed.text()
+    driver.type(dialog.search, "no page has wxyz")
     assert dialog.missed.text() == "not found"
     dialog.close()
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import Qt, QUrl
+from PySide6.QtCore import QRegularExpression, Qt, QUrl
 from PySide6.QtGui import QFontDatabase, QPixmap, QResizeEvent, QTextCursor, QTextDocument
 from PySide6.QtWidgets import (
     QApplication,
@@ -162,17 +163,25 @@ class PagesDialog(QDialog):
         self.search.setFocus()
 
     def _find_next(self) -> None:
-        """Select the next place with the text: in this page, else in the others."""
-        text = self.search.text()
+        """Select the next place with the phrase or, if no page has it, a paragraph of its words."""
+        words = [re.escape(word) for word in self.search.text().split()]
         self.missed.clear()
-        if not text or self.page.find(text):
-            return
+        paragraph = f"^{''.join(f'(?=.*{word})' for word in words)}.+"
+        if words and not self._find(r"\s+".join(words)) and not self._find(paragraph):
+            self.missed.setText("not found")
+
+    def _find(self, pattern: str) -> bool:
+        """Select the next match: in this page, else in the others."""
+        wanted = QRegularExpression(pattern)
+        if self.page.find(wanted):
+            return True
         shown = Path(self.page.source().toLocalFile())
         at = next((k for k, path in enumerate(self._files) if path.samefile(shown)), -1)
         for path in (*self._files[at + 1 :], *self._files[: at + 1]):
-            if text.casefold() in path.read_text(encoding="utf-8").casefold():
+            paragraphs = path.read_text(encoding="utf-8").split("\n\n")
+            if any(re.search(pattern, " ".join(p.split()), re.IGNORECASE) for p in paragraphs):
                 self.page.setSource(QUrl.fromLocalFile(str(path)))
                 self.page.moveCursor(QTextCursor.MoveOperation.Start)
-                if self.page.find(text):  # else it is only in the address of a link
-                    return
-        self.missed.setText("not found")
+                if self.page.find(wanted):  # else it is only in the address of a link
+                    return True
+        return False
