@@ -376,6 +376,13 @@ class Pose:
     distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
     others: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
 
+    def __repr__(self) -> str:
+        if self.status != "ok":
+            return f"<pose: {self.status}>"
+        place = ", ".join(f"{1e3 * each:.2f}" for each in self.T_B_O[:3, 3])
+        left = np.count_nonzero(~self.determined)
+        return f"<pose: ok, origin at {place} mm, {left} of 6 motions not determined>"
+
     @property
     def origin_covariance(self) -> np.ndarray:
         """Covariance of the object's origin and its rotation vector in B, (6, 6), m and rad."""

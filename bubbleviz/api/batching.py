@@ -6,6 +6,7 @@ import fcntl
 import json
 import os
 import shutil
+from collections import Counter
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, replace
@@ -36,7 +37,7 @@ from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO, checked_sensor
 from bubbleviz.result import TRUSTED
 from bubbleviz.sensor import load_sensor, sensor_to_toml
-from bubbleviz.wording import reason_of
+from bubbleviz.wording import count_of, counted, reason_of
 
 RESULT, TABLE, SUMMARY = "result.npz", "result.csv", "summary.json"
 """Files in the result folder of a recording."""
@@ -125,6 +126,10 @@ class BatchSummary(Summary):
 
     table: str  # path of the CSV file
     rows: list[BatchRow]  # in the order of the recordings' paths
+
+    def __repr__(self) -> str:
+        outcomes = counted(Counter(row.outcome for row in self.rows))
+        return f"<{count_of(len(self.rows), 'recording')}: {outcomes}; table {self.table}>"
 
     def to_text(self) -> str:
         """Aligned table with units, errors, and the path of the table."""

@@ -42,10 +42,15 @@ class ExportSummary(Summary):
     def to_text(self) -> str:
         """Text for the terminal."""
         ran = ", ".join(name for name in self.stages if name != "total") or "none"
-        return (
-            f"wrote   {self.out}: {', '.join(self.kinds)} of {count_of(self.frames, 'frame')}, "
-            f"{count_of(self.files, 'file')}\nstages  {ran}"
-        )
+        return f"wrote   {self._written}\nstages  {ran}"
+
+    @property
+    def _written(self) -> str:
+        frames, files = count_of(self.frames, "frame"), count_of(self.files, "file")
+        return f"{self.out}: {', '.join(self.kinds)} of {frames}, {files}"
+
+    def __repr__(self) -> str:
+        return f"<{self._written}>"
 
 
 def export(

@@ -248,6 +248,10 @@ class RecordingInfo(Summary):
     bad_frames: tuple[int, ...] = ()  # without data, as the message is too short for an image
     note: str = ""  # missing parts of the recording; empty if it is complete
 
+    def __repr__(self) -> str:
+        frames, size = count_of(self.frames, "frame"), f"{self.width}×{self.height} pixels"
+        return f"<{self.path}: {frames} in {self.duration_s:.3f} s, {size}>"
+
     def to_text(self) -> str:
         """Text for the terminal, with units."""
         rate = "–" if self.rate_hz is None else f"{self.rate_hz:.2f} Hz"

@@ -57,7 +57,7 @@ from bubbleviz.plugins import library
 from bubbleviz.result import Estimate, Patch, Pose, Result
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.wording import count_of, counted
+from bubbleviz.wording import count_of, counted, plus_minus
 
 if TYPE_CHECKING:
     import pandas
@@ -274,8 +274,8 @@ class FrameResult:
         found = f"<frame {self.index} at {self.time_s:.3f} s: {self.status}"
         if not self.estimate.trusted:
             return f"{found}, {self.estimate.reason or 'not trusted'}>"
-        force, area = self.force_magnitude_n, 1e6 * self.patch_area_m2
-        return f"{found}, {force:.3g} N on {area:.0f} mm²>"
+        force = _force_text(self.force_magnitude_n, self.force_magnitude_half_width_n)
+        return f"{found}, {force} on {1e6 * self.patch_area_m2:.0f} mm²>"
 
 
 class Run(Sequence[FrameResult], Summary):
@@ -528,12 +528,21 @@ class Run(Sequence[FrameResult], Summary):
     def __repr__(self) -> str:
         if not len(self):
             return f"<0 frames of {self.context['recording']}>"
-        force = np.linalg.norm(self.force_n, axis=1)
-        known = force[np.isfinite(force)]
-        largest = f", up to {known.max():.3g} N" if len(known) else ""
+        table, largest = self._numbers.columns(), ""
+        force = np.array(table["force_magnitude_n"])
+        if np.isfinite(force).any():
+            k = int(np.nanargmax(force))
+            half = table["force_magnitude_half_width_n"][k]
+            largest = f", up to {_force_text(force[k], half)}"
         statuses = counted(Counter(each["status"] for each in self.rows()))
         frames = count_of(len(self), "frame")
         return f"<{frames} of {self.context['recording']}: {statuses}{largest}>"
+
+
+def _force_text(force_n: float, half_width_n: float) -> str:
+    """Force with half of its 95 % interval if there is one, which the solver `paper` has not."""
+    interval = half_width_n > 0.0
+    return f"{plus_minus(force_n, half_width_n, 3) if interval else f'{force_n:.3g}'} N"
 
 
 def load_run(path: str | Path) -> Run:

@@ -187,7 +187,9 @@ def test_path_in_place_of_a_recording(sensor, press, tmp_path):
     opened, by_path = bv.estimate(bv.open(press), sensor), bv.estimate(str(press), sensor)
     assert_same(by_path, opened)
     assert len(bv.track(press, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")) == len(HEIGHTS)
-    assert bv.export(press, tmp_path / "table.csv", sensor).frames == len(HEIGHTS)
+    exported, path = bv.export(press, tmp_path / "table.csv", sensor), tmp_path / "table.csv"
+    assert exported.frames == len(HEIGHTS)
+    assert repr(exported) == f"<{path}: table of {len(HEIGHTS)} frames, 1 file>"
     with pytest.raises(bv.InputError, match=r"nowhere\.mcap"):
         bv.estimate("nowhere.mcap", sensor)
     with pytest.raises(bv.InputError, match=r"use bv\.Estimator for arrays"):

@@ -19,10 +19,12 @@ from bubbleviz.files import parse_pose
 from bubbleviz.inverse import mean_pressure
 from bubbleviz.processes import check_cluster
 from bubbleviz.recordings import Recording
+from bubbleviz.result import Pose
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import changed, with_colour_delay
 from bubbleviz.shear import OpticalFlow
 from bubbleviz.simulation import SyntheticSource
+from bubbleviz.wording import plus_minus
 from tests.program import output_of, python
 
 TOUCHING = [k for k, height in enumerate(HEIGHTS) if height < 0.05]
@@ -314,11 +316,12 @@ def test_run_behaves_like_a_list_and_has_arrays(estimated):
 def test_repr_is_one_line_with_units(frames, estimated):
     pressed, free = estimated[2], estimated[0]
     area, force = 1e6 * pressed.patch_area_m2, np.linalg.norm(pressed.force_n)
-    on = f"{force:.3g} N on {area:.0f} mm²"
+    on = f"{plus_minus(force, pressed.force_magnitude_half_width_n, 3)} N on {area:.0f} mm²"
     assert repr(pressed) == f"<frame 2 at {pressed.time_s:.3f} s: ok, {on}>"
     assert repr(free) == "<frame 0 at 0.000 s: no_contact, 0 N on 0 mm²>"
     assert re.fullmatch(
-        rf"<5 frames of .*press\.mcap: 2 no_contact, 3 ok, up to {force:.1f}\d* N>", repr(estimated)
+        rf"<5 frames of .*press\.mcap: 2 no_contact, 3 ok, up to {force:.1f}\d* ± 0\.\d+ N>",
+        repr(estimated),
     )
     assert repr(estimated[3:3]).startswith("<0 frames of ")
     assert re.fullmatch(
@@ -334,6 +337,16 @@ def test_repr_is_one_line_with_units(frames, estimated):
     dark = bv.Estimator(estimated.model.sensor).update(np.zeros((43, 56)))
     assert re.fullmatch(r"<frame 0 at 0\.000 s: no_data, .+>", repr(dark))
     assert repr(dark.estimate) == "<estimate: no_data>"
+    paper = bv.estimate(frames[2:3], estimated.model.sensor, solver="paper")
+    assert re.fullmatch(r"<frame 2 at .* s: ok, \d\.\d+ N on \d+ mm²>", repr(paper[0]))
+    T = parse_pose("0.001 -0.002 0.0371 0 0 0 1")
+    found = Pose("ok", T, determined=np.arange(6) < 4)
+    assert (
+        repr(found) == "<pose: ok, origin at 1.00, -2.00, 37.10 mm, 2 of 6 motions not determined>"
+    )
+    assert repr(Pose("lost", T)) == "<pose: lost>"  # the matrix is of an earlier frame
+    name = re.escape(bv.info(frames).path)
+    assert re.fullmatch(rf"<{name}: 5 frames in 0\.\d+ s, 56×43 pixels>", repr(bv.info(frames)))
 
 
 def test_pickled_run_omits_what_can_be_recomputed(estimated):

@@ -156,6 +156,9 @@ def test_frame_to_inspect_is_an_untrusted_one():
     assert (row.worst_frame, row.worst_status, row.untrusted_frames) == (20, "no_data", 2)
     assert (row.max_force_n, row.median_contact_force_n, row.median_total_ms) == (5.0, 5.0, 3.0)
     assert (row.median_contact_measured_force_n, row.sensor) == (4.0, "s")
+    failed = BatchRow("q", "failed", error="it broke")
+    summary = BatchSummary("sum.csv", [row, failed, row])
+    assert repr(summary) == "<3 recordings: 2 done, 1 failed; table sum.csv>"
 
 
 @pytest.mark.parametrize("change", ["settings", "sensor", "recording", "nothing", "summary"])
