@@ -12,11 +12,11 @@ import numpy as np
 
 from bubbleviz.output import PoseRow
 from bubbleviz.result import TRUSTED
-from bubbleviz.wording import counted
+from bubbleviz.wording import count_of, counted
 
 _LINES = {
     "failure": "why     {}",
-    "fit": "fit     {} (medians)",
+    "fit": "fit     {} (medians of {ok_frames})",
     "median_contact_force_n": "force   {:.3g}{plus_minus} N median in contact, "
     "{max_force_n:.3g} N highest",
     "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench sensor, "
@@ -104,7 +104,8 @@ def text_of(facts: dict[str, Any]) -> str:
 def _pose_texts(facts: dict[str, Any]) -> dict[str, str]:
     if "object" not in facts:
         return {}
-    texts = {"end": "pose out while tracking"}
+    found = count_of(facts["status"].get("ok", 0), "ok frame")
+    texts = {"end": "pose out while tracking", "ok_frames": found}
     if facts["median_rmse_m"] is not None:
         share, rmse_mm = 100.0 * facts["median_fitness"], 1e3 * facts["median_rmse_m"]
         texts["fit"] = f"{share:.0f} % of the patch on the object, rmse {rmse_mm:.2f} mm"

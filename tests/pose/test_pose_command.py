@@ -100,6 +100,7 @@ def test_area_of_the_object_patch_is_an_optional_column(folder):
     told = output_of(*command(folder, "areas.csv", *more[:-1], "--frames", "2:3", "--overwrite"))
     (row,) = read_poses(folder / "areas.csv").values()
     assert f"{1e6 * row['pose_object_patch_area_m2']:.0f} mm² by the object" in told
+    assert "mm (medians of 1 ok frame)\n" in told
 
 
 def test_bad_input_is_one_line(folder, tmp_path):
