@@ -121,7 +121,8 @@ class Curve(Plot):
         self.change.setVisible(change is not None)
         if change is not None:
             self.change.setValue(change - 0.5)
-        last = f" {unit.text(float(values[-1]))}" if len(values) else ""
+        known = len(values) and np.isfinite(values[-1])
+        last = f" {unit.text(float(values[-1]))}" if known else f", {unit.symbol}"
         self.write(f'<span style="color:{self._colour}">{self._name}{last}</span>')
 
 

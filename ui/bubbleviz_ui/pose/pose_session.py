@@ -75,7 +75,7 @@ def status_text(pose: Pose, touched: bool) -> str:
     if pose.status == "lost" and not touched:
         return "no contact; the last good pose is kept"
     if pose.status == "lost" and not has_pose(pose):
-        return "not found yet"
+        return "no pose tried so far fits; choose a frame pressed deeper, or another object"
     return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
 
 
