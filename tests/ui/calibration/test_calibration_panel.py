@@ -10,7 +10,7 @@ from calibration_bench import Bench
 from fakes import DentSource, record, small_sensor
 from pyqtgraph import ViewBox
 from PySide6.QtCore import QPoint, QPointF, Qt
-from PySide6.QtWidgets import QGraphicsView
+from PySide6.QtWidgets import QGraphicsView, QLabel
 from resting import REST, TENSION, RestingSource
 from scipy.spatial.transform import Rotation
 from window_driver import LEFT, graphics_view, turn_wheel
@@ -365,6 +365,8 @@ def test_known_press_is_predicted_and_compared(drive, sensor):
     bench.identify()
     bench.step(5)
     page, pose = bench.panel.validation, source.poses[frame]
+    assert not page.view.isVisible()  # no empty picture with a scale
+    assert any("x y z in m" in label.text() for label in page.findChildren(QLabel))
     page.obj.setCurrentText("two_legged_toy")
     numbers = [*pose[:3, 3], *Rotation.from_matrix(pose[:3, :3]).as_quat()]
     page.pose.setText(" ".join(f"{x:.9g}" for x in numbers))
@@ -375,7 +377,7 @@ def test_known_press_is_predicted_and_compared(drive, sensor):
     found = bench.found.validation
     assert found.rms_m < 0.3 * found.untouched_rms_m
     assert page.numbers.text("distance, rms") == f"{1e3 * found.rms_m:.3f} mm"
-    assert page.view.image.shape == found.predicted_patch.shape
+    assert page.view.isVisible() and page.view.image.shape == found.predicted_patch.shape
     # only a press that confirms the calibration is ticked
     tip = lambda: bench.panel.steps.button(bench.panel.pages.index(page)).toolTip()  # noqa: E731
     assert page.summary.text().startswith("Known press, good") and tip().endswith("done")

@@ -150,7 +150,8 @@ class ValidationPage(Page):
         self.predict.setEnabled(ready)
         self.remove.setEnabled(settings.pressed is not None)
         found = answer.found.validation
-        self.numbers.setVisible(found is not None)
+        for each in (self.view, self.numbers):
+            each.setVisible(found is not None)
         image = found.distance_m if found is not None else None
         limit = 3.0 * found.rms_m if found is not None else 1e-3
         title = "Distance of the points from the predicted membrane, positive outside"
@@ -185,7 +186,7 @@ class ValidationPage(Page):
         self.column.addWidget(self.view)
         form = QFormLayout()
         form.addRow("Object", self.obj)
-        form.addRow("Pose", self.pose)
+        form.addRow("Pose: x y z in m,\nqx qy qz qw", self.pose)
         frames = fill(QHBoxLayout(), self.first, QLabel("to"), self.last, 1)
         form.addRow("Frames", frames)
         self.column.addLayout(form)
