@@ -211,7 +211,8 @@ class Patch:
     Attributes
     ----------
     threshold_pa : float
-        Smallest contact pressure in the patch, Pa.
+        Contact pressure at the edge by κ, Pa. By default, where no pressure is the threshold (see
+        `level`), half the gas pressure.
     level : (n,) array
         Positive inside; its zero line, interpolated linearly, is the edge of the patch. By default
         the signed distance to the edge, m.
