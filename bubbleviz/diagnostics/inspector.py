@@ -193,6 +193,7 @@ class Probed:
     displacement_m: float
     pressure_pa: float
     residual_m: float  # measured minus modelled range of the pixel; NaN if not computed
+    in_patch: bool | None  # None without a trusted patch
 
     @property
     def node(self) -> int:
@@ -240,7 +241,10 @@ class Probe:
         def value(field: np.ndarray | None) -> float:
             return np.nan if field is None else float(barycentric @ field[nodes])
 
-        displacement = pressure = None
+        displacement = pressure = inside = None
+        if (patch := result.trusted_patch) is not None:
+            mask = patch.pixel_mask
+            inside = value(patch.level) > 0.0 if mask is None or not pixel else bool(mask[pixel])
         if (trusted := result.trusted_estimate) is not None:
             displacement, pressure = trusted.displacement_m, trusted.contact_pressure_pa
         return Probed(
@@ -254,6 +258,7 @@ class Probe:
             displacement_m=value(displacement),
             pressure_pa=value(pressure),
             residual_m=_residual(pixel, result) if pixel else np.nan,
+            in_patch=inside,
         )
 
     def _point(self, pixel: Pixel, result: Result) -> np.ndarray:

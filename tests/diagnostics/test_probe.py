@@ -9,7 +9,7 @@ import pytest
 
 from bubbleviz.diagnostics import Probe, profile
 from bubbleviz.membrane import TriangleScene
-from bubbleviz.pipeline import Pipeline
+from bubbleviz.pipeline import FrameOptions, Pipeline
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "ui"))
 from fakes import FRAMES, DentSource, small_sensor
@@ -194,3 +194,22 @@ def test_profile_without_a_trusted_estimate_has_the_measured_points(pipeline, re
     assert len(found.measured_along_m) > 15
     above = np.array([ENDS[0], ENDS[0] + (0.0, 0.0, 0.01)])
     assert profile(pipeline.camera, pipeline.mesh, result, above) is None
+
+
+@pytest.mark.parametrize("kappa", [None, 1.0])
+def test_place_is_in_the_patch_or_outside(pipeline, kappa):
+    products = frozenset({"estimate", "patch", "pixel_mask"})
+    result = pipeline.process(DentSource(SENSOR)[FRAMES - 1], products)
+    patch = pipeline.patch(result.estimate, FrameOptions(kappa), pixel_mask=True)
+    result = replace(result, patch=patch)
+    mask, probe = result.patch.pixel_mask, Probe(pipeline.camera, pipeline.mesh)
+    middle = int(np.argmax(mask.sum(axis=1)))
+    row = [probe.at_pixel((middle, column), result) for column in range(10, SENSOR.camera.width)]
+    assert [place.in_patch for place in row] == mask[middle, 10:].tolist()
+    assert {place.in_patch for place in row} == {True, False}
+    unmasked = replace(result, patch=replace(result.patch, pixel_mask=None))
+    same = [probe.at_pixel((middle, column), unmasked).in_patch == mask[middle, column]
+            for column in range(10, SENSOR.camera.width)]  # fmt: skip
+    assert np.mean(same) > 0.95  # by the level lines; the camera's pixels at the edge may differ
+    untouched = probe.at_pixel((middle, 20), replace(result, patch=None))
+    assert untouched.in_patch is None

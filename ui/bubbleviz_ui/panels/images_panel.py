@@ -27,6 +27,7 @@ from bubbleviz_ui.shell.binding import menu_button
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill
 from bubbleviz_ui.shell.theme import NODE
 from bubbleviz_ui.view3d.colours import Scales, residual_colours, rounded_up
+from bubbleviz_ui.view3d.tools import patch_text
 
 # One image with its colour scale and the marked pixel.
 
@@ -339,7 +340,8 @@ def probe_lines(place: Probed | None, units: Units) -> tuple[str, str, str]:
     return (
         f"{seen} · node {place.node} · depth {length.text(place.depth_m)}",
         f"x {x} · y {y} · z {z} {length.symbol}",
-        f"u {length.text(place.displacement_m)} · p_c {units.pressure.text(place.pressure_pa)}",
+        f"u {length.text(place.displacement_m)} · p_c {units.pressure.text(place.pressure_pa)} · "
+        f"{patch_text(place)}",
     )
 
 

@@ -20,7 +20,7 @@ from vtkmodules.vtkRenderingCore import vtkCellPicker, vtkTextActor, vtkWindowTo
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Probed
 from bubbleviz_ui.model.settings import Settings
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.layer import Layer, Surface, add_mark
@@ -110,6 +110,11 @@ class Callout:
         self._view.refresh()
 
 
+def patch_text(place: Probed) -> str:
+    """Whether a place is in the patch; a dash without a trusted one."""
+    return {True: "in the patch", False: "outside the patch", None: DASH}[place.in_patch]
+
+
 def probe_text(place: Probed, units: Units) -> str:
     """Lines about a probed place; the residual only if known."""
     lines = [
@@ -117,6 +122,7 @@ def probe_text(place: Probed, units: Units) -> str:
         f"u {units.length.text(place.displacement_m)}",
         f"residual {units.fine_length.text(place.residual_m)}",
         f"node {place.node}",
+        patch_text(place),
     ]
     if math.isnan(place.residual_m):
         del lines[2]
