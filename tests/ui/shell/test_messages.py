@@ -55,7 +55,7 @@ def test_notice_messages_and_hint_by_clicks(drive, desktop, tmp_path, monkeypatc
     driver.state.change(kappa=2.5)
     driver.click(notice.open)
     assert driver.state.settings.kappa is None
-    # a notice moves nothing: it is beside the menus, the middle of a long path left out
+    # a notice moves nothing: it is beside the menus, the end of a long name left out
     driver.click(window.message.dismiss)
     driver.click(notice.dismiss)
     bar = window.menuBar()

@@ -161,7 +161,7 @@ class NoticeBar(QFrame):
         super().__init__(bar)
         self._bar, self._room = bar, QSize()
         self._file: Path | None = None
-        self.label = Elided(Qt.TextElideMode.ElideMiddle)  # keep both ends of a path
+        self.label = Elided(Qt.TextElideMode.ElideRight)  # the name of a file comes first
         self.open = tool_button(
             "Open",
             "Open the file here, or in the desktop's program for its kind",
