@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
+from html import escape
 from pathlib import Path
 
 from PySide6.QtCore import QSize, Qt, QTimer, Signal
@@ -30,8 +31,8 @@ NOTICE_MS = 6000
 """Duration of a notice, enough to read a path and click a button."""
 GAP = 16
 """Distance of a notice from the menus, screen pixels."""
-SHARE = 0.2
-"""Of the window's height, seen of a text without scrolling: most of it is for the 3-D view."""
+MOST_LINES = 2
+"""Lines of a text seen without scrolling: the 3-D view keeps its height in a small window."""
 HINT = (
     "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → step by one frame. "
     "Ctrl+K finds all commands; hold the mouse over a control to see what it does."
@@ -39,7 +40,7 @@ HINT = (
 
 
 class ScrolledText(QScrollArea):
-    """A text in lines, scrolled beyond `SHARE` of the window's height."""
+    """A text in lines, scrolled beyond `MOST_LINES`; its tool tip has all."""
 
     def __init__(self) -> None:
         super().__init__(widgetResizable=True)
@@ -58,6 +59,7 @@ class ScrolledText(QScrollArea):
     def setText(self, text: str) -> None:
         """Show a text."""
         self._label.setText(text)
+        self.setToolTip(f"<p>{escape(text)}</p>")  # HTML is wrapped
         self.updateGeometry()
 
     def hasHeightForWidth(self) -> bool:
@@ -66,7 +68,7 @@ class ScrolledText(QScrollArea):
 
     def heightForWidth(self, width: int) -> int:
         """Height of the lines seen, screen pixels."""
-        most = round(SHARE * self.window().height())
+        most = MOST_LINES * self.fontMetrics().lineSpacing()
         return min(self._label.heightForWidth(width), most)
 
     def sizeHint(self) -> QSize:
