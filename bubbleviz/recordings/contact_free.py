@@ -8,7 +8,7 @@ import numpy as np
 
 from bubbleviz.errors import InputError
 from bubbleviz.progress import Progress, quiet
-from bubbleviz.recordings.depth_statistics import LAG, MAD_TO_SIGMA, MIN_FRAMES
+from bubbleviz.recordings.depth_statistics import LAG, MAD_TO_SIGMA, MIN_FRAMES, robust_sigma
 from bubbleviz.recordings.frame import FrameSource
 from bubbleviz.wording import count_of
 
@@ -117,18 +117,29 @@ def _score(values: np.ndarray) -> np.ndarray:
 def _sigma_at_rest(values: np.ndarray) -> np.ndarray:
     """Standard deviation of each column (K,) of values (F, K) at rest.
 
-    By differences over `LAG` frames, of which half may be of contact. Of the first F, F/2, F/4 …
-    frames, those that differ least: contact may fill most of a recording, but not its beginning.
+    By differences over `LAG` frames, of which half may be of contact. Contact may fill most of a
+    recording, but not its beginning: of the first F, F/2, F/4 … frames, those that differ least,
+    where they differ significantly less than all.
     """
-    least, quietest, count = np.inf, values, len(values)
-    while least == np.inf or count >= 4 * LAG:
-        lag = min(LAG, count - 1)
-        differences = np.abs(values[lag:count] - values[: count - lag])
-        usual = float(np.median(differences.mean(axis=1)))
-        if usual < least:
-            least, quietest = usual, differences
+    chosen, usual = _differences(values)
+    all_frames, count = usual, len(values) // 2
+    while count >= 4 * LAG:
+        differences, least = _differences(values[:count])
+        error = robust_sigma(differences.mean(axis=1)) / np.sqrt(len(differences) / LAG)
+        if 0.0 < least < min(usual, all_frames - SIGNIFICANT * error):
+            chosen, usual = differences, least
         count //= 2
-    return MAD_TO_SIGMA * np.median(quietest, axis=0) / np.sqrt(2.0)
+    # a rounded value may differ from itself in fewer than half of the frames
+    step = np.where(chosen > 0.0, chosen, np.inf).min(axis=0)
+    rounding = np.where(np.isfinite(step), step, 0.0) / np.sqrt(12.0)
+    return np.maximum(MAD_TO_SIGMA * np.median(chosen, axis=0) / np.sqrt(2.0), rounding)
+
+
+def _differences(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Magnitudes of differences over `LAG` frames, and their usual mean over the columns."""
+    lag = min(LAG, len(values) - 1)
+    differences = np.abs(values[lag:] - values[:-lag])
+    return differences, float(np.median(differences.mean(axis=1)))
 
 
 def _first_change(score: np.ndarray) -> int:

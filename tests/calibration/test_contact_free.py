@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import trim_mean
 
 from bubbleviz.calibration import collect, collect_press
@@ -63,6 +64,16 @@ def test_contact_may_move_in_most_of_a_recording():
     ]
     frames = find_contact_free(HeldFrames([*(source[k] for k in range(20)), *moving])).frames
     assert 18 <= frames.stop <= 20
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_noise_of_the_gas_pressure_is_no_contact(rounded):
+    """Correlated in time, or rounded to a unit that is larger than its noise."""
+    depth, rng = np.full((48, 64), 0.1, np.float32), np.random.default_rng(0)
+    for noise in rng.standard_normal((10, 400)):
+        gas_pa = 1e5 + (np.round(0.5 * noise) if rounded else lfilter([1], [1, -0.8], noise))
+        frames = [Frame(k, k / 30.0, depth, None, each) for k, each in enumerate(gas_pa)]
+        assert find_contact_free(HeldFrames(frames)).ended_by == "recording"
 
 
 def test_a_recording_that_begins_with_a_contact_is_refused():

@@ -91,10 +91,10 @@ def test_messages_have_patch_and_force_of_the_estimate(pipeline, pressed):
     )
     of_torque = np.array([sigma.torque.x, sigma.torque.y, sigma.torque.z])
     np.testing.assert_allclose(of_torque, estimate.torque_sigma_about(np.zeros(3)))
-    # about the origin, far from the contact, nearly that of the force times its arm
-    arm = np.linalg.norm(patch.center_of_pressure_m)
-    ratio = np.linalg.norm(of_torque) / (arm * np.linalg.norm(estimate.force_sigma_n))
-    assert 0.5 < ratio < 1.5
+    # about the origin, far from the contact, nearly that of the force's moment
+    moments = np.cross(patch.center_of_pressure_m, np.eye(3))  # of a unit force along each axis
+    of_force = moments.T @ estimate.wrench_covariance[:3, :3] @ moments
+    assert 0.5 < np.linalg.norm(of_torque) / np.sqrt(np.trace(of_force)) < 1.5
     (markers,) = (message.markers for name, message in found.items() if name.endswith("markers"))
     for message in (*markers, *(found[name] for name in found if not name.endswith("markers"))):
         stamp = message.header.stamp

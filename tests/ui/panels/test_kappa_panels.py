@@ -11,6 +11,7 @@ from window_driver import CONTACT, LEFT, graphics_view, hover, view_texts
 from bubbleviz.inverse import EstimatorOptions, components
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.simulation import iou, truth_of
+from bubbleviz.wording import plus_minus
 
 
 def threshold(driver):
@@ -126,7 +127,8 @@ def test_controls_of_the_active_threshold_and_errors_against_ground_truth(drive,
     forces_n = np.array([part.force_n for part in parts()])
     assert column(panel, 1) == [f"{size:.2f} N" for size in np.linalg.norm(forces_n, axis=1)]
     headline = np.linalg.norm(forces_n.sum(axis=0))
-    driver.wait(lambda: kappa.force.text().startswith(f"{headline:.2f} ±"))
+    shown = plus_minus(headline, driver.result.estimate.force_half_width_n, 2)
+    driver.wait(lambda: kappa.force.text().startswith(shown))
     assert areas == sorted(areas)[::-1] and set(column(panel, 3)) == {"contact"}
     assert column(panel, 0)[0] == f"{1e6 * areas[0]:.0f} mm²"
 
