@@ -338,6 +338,10 @@ def test_memory_is_released_when_idle_or_grown_and_not_else_during_playback(qtbo
         for _ in range(6):
             qtbot.waitSignal(timer.timeout, timeout=PATIENCE_MS).wait()
         assert given.is_set() == released
+    given.clear()
+    state.open(SourceFacts("drag", "dome", np.arange(10) / 20.0), playing=True)
+    wait(given.is_set)  # for what the closed source held
+    given.clear()
     timer.stop()
     wait(given.is_set)
     giving.close()

@@ -99,6 +99,7 @@ class MemoryRelease(QObject):
         for changed in (state.source_changed, state.settings_changed, state.frame_changed,
                         state.history_changed, state.playing_changed):  # fmt: skip
             changed.connect(self._on_changed)
+        state.source_changed.connect(self._on_source)
 
     def close(self) -> None:
         """Stop the timer and the thread."""
@@ -108,12 +109,16 @@ class MemoryRelease(QObject):
     def _on_changed(self) -> None:
         self._unchanged = 0
 
+    def _on_source(self) -> None:
+        self._kept_mib = 0.0  # what the closed source held is released at the next tick
+
     def _on_tick(self) -> None:
         self._unchanged += 1
-        held_mib = self._resident_mib() - self._kept_mib
-        if self._unchanged == IDLE_TICKS or held_mib > GROWTH_MIB:
+        resident_mib = self._resident_mib()
+        self._kept_mib = min(self._kept_mib, resident_mib)
+        if self._unchanged == IDLE_TICKS or resident_mib - self._kept_mib > GROWTH_MIB:
             gc.collect()  # here, see above; milliseconds, as imported modules are frozen
-            self._kept_mib += held_mib
+            self._kept_mib = resident_mib
             self._worker.submit(self._release, lambda _: self._measure())
 
     def _measure(self) -> None:

@@ -303,7 +303,8 @@ class ImagesPanel(QWidget):
         if inspection.colour is not None:
             images["colour"], reasons["colour"] = inspection.colour.rgb, inspection.colour.reason
         for name in inspection.images.keys() - inspection.ends.keys():
-            images[name], reasons[name] = None, "no returns in this frame"
+            where = "" if name == "depth" else " on the membrane"
+            images[name], reasons[name] = None, f"no returns{where} in this frame"
         self._residual_max_m = self._scales.of(self._state.settings).residual_m
         for name in self._state.settings.images:
             ends, why = inspection.ends.get(name), reasons.get(name, "")

@@ -276,7 +276,7 @@ class Timeline(QWidget):
 def columns(contact: np.ndarray, axis: TimeAxis, width: int) -> np.ndarray:
     """Highest contact state (width,) of the frames (F,) in each screen column.
 
-    Unknown further than a usual step from any frame: a live source was not solved meanwhile.
+    Unknown further than a usual step from any frame: in gaps, and where no live frame was solved.
     """
     places = np.linspace(0.0, 1.0, width)
     frames = axis.nearest(places)

@@ -73,7 +73,7 @@ def status_text(pose: Pose, touched: bool) -> str:
     """Status, and the number of directions not determined by the contact, if there is one."""
     left = int(np.count_nonzero(~pose.determined)) if pose.status == "ok" else 0
     if pose.status == "lost" and not touched:
-        return "no contact; the last good pose is kept"
+        return "no contact" + ("; the last good pose is kept" if has_pose(pose) else "")
     if pose.status == "lost" and not has_pose(pose):
         return "no pose tried so far fits; choose a frame pressed deeper, or another object"
     return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
