@@ -69,10 +69,13 @@ def check_number(
         raise InputError(f"{option} {value}: give a {kind} number {limits}")
 
 
-def check_seconds(option: str, seconds: float | None) -> None:
-    """Refuse what is neither None, for no limit, nor a time of 0 s or more. Raises InputError."""
+def check_seconds(option: str, seconds: float | None, least_s: float = 0.0) -> None:
+    """Refuse what is neither None, for no limit, nor a time of `least_s` or more.
+
+    Raises InputError.
+    """
     if seconds is not None:
-        check_number(option, seconds, 0.0)
+        check_number(option, seconds, least_s)
 
 
 def check_choice(option: str, value: object, choices: Iterable[object]) -> None:

@@ -463,7 +463,10 @@ def _results(frames: Frames, solver: FrameSolver, progress: Progress) -> Iterato
             others = (solver.zeros.applied(frames[k]) for k in spread[1:])
             if all(_is_implausible(solver.pipeline.estimate_once(each)) for each in others):
                 tried = f"{len(spread)} of {len(frames):,} frames were tried"
-                raise InputError(f"{shown_name(frames.source)}: {NO_FRAME_FITS} ({tried})")
+                raise InputError(
+                    f"{shown_name(frames.source)}: {NO_FRAME_FITS} ({tried}; --frames chooses "
+                    "others)"
+                )
         yield result
 
 

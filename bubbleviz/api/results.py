@@ -30,6 +30,7 @@ from bubbleviz.files import (
     whole_file,
     write_rows,
 )
+from bubbleviz.inverse import LINEAR, PAPER, ConstantTension
 from bubbleviz.membrane import MembraneMesh
 from bubbleviz.output import (
     ARROW,
@@ -587,8 +588,10 @@ def load_run(path: str | Path) -> Run:
         "warning": shear_warning if "traction_status" in arrays else None,
     }
     run = Run(SensorModel(sensor, DepthCamera.of(sensor.camera), mesh), context, texts)
+    caveat = ConstantTension.caveat if solver in (LINEAR, PAPER) else ""
     for result in results:
-        run.add(result, keep=True)
+        told = replace(result.solution[0], caveat=caveat)
+        run.add(replace(result, estimate=told), keep=True)
     return run
 
 

@@ -17,7 +17,7 @@ from bubbleviz.wording import count_of, counted
 _LINES = {
     "failure": "why     {}",
     "fit": "fit     {} (medians of {ok_frames})",
-    "median_contact_force_n": "force   {:.3g}{plus_minus} N median in contact, "
+    "median_contact_force_n": "force   {:.3g}{plus_minus} N in contact (medians), "
     "{max_force_n:.3g} N highest",
     "median_contact_measured_force_n": "        {:.3g} N median in contact by the wrench sensor, "
     "minus its bias without contact",

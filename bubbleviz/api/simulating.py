@@ -40,8 +40,8 @@ class SimulationSummary(Summary):
 
     def to_text(self) -> str:
         """Text for the terminal."""
-        force = f"largest force {self.max_force_n:.3g} N"
-        force = force if self.max_force_n else "the object touches nothing"
+        touches = f"largest force {self.max_force_n:.3g} N"
+        force = touches if self.max_force_n else "the object touches nothing"
         return f"wrote   {self.out}: {count_of(self.frames, 'frame')}, {force}"
 
 

@@ -32,12 +32,12 @@ from bubbleviz.live import (
     ResultSender,
     open_stream,
 )
-from bubbleviz.recordings import AUTO, Frame, Message
+from bubbleviz.recordings import AUTO, LAG, Frame, Message
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, with_colour_delay
 from bubbleviz.wording import counted
-from bubbleviz.zeros import SEARCH_POINTS
+from bubbleviz.zeros import ZERO_FRAMES
 
 if TYPE_CHECKING:
     from bubbleviz.shear import PassingTexture
@@ -217,7 +217,7 @@ def watch(
     InputError
         The source, the file or the endpoint cannot be opened, or no depth image arrived.
     """
-    check_seconds("--duration", duration_s)
+    check_seconds("--duration", duration_s, 1e-3)
     unused = next((name for name, file in credentials.items() if file is not None), None)
     if unused is not None and listen is None and connect is None:
         raise InputError(
@@ -265,7 +265,9 @@ def _watch(
             if result is not None:
                 send(result, watcher.solver.pipeline)
                 bar.update()
-                if watcher.statuses["implausible"] == watcher.statuses.total() == SEARCH_POINTS:
+                frames = watcher.statuses.total()
+                # the first frame for which the noise of the stream may be known
+                if watcher.statuses["implausible"] == frames == LAG + ZERO_FRAMES + 1:
                     _warn(f"{stream.name}: {NO_FRAME_FITS}")
             silent = _warn_of_silence(stream, silent)
             if send.diagnose():

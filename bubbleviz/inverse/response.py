@@ -409,7 +409,7 @@ class ConstantTension(Bubble):
     """
 
     caveat = (
-        "constant tension (without prestretch in the sensor file, or by --solver): forces on "
+        "constant tension (the sensor file has no prestretch, or the solver is linear): forces on "
         "rubber are typically 24 % off, too low on stiff domes and too high in deep presses"
     )
 

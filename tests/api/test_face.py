@@ -131,7 +131,7 @@ POSE = "0 0 0.044 0 0 0 1"
         ),
         (lambda f, s: bv.watch("synthetic:", s, duration_s=-1), "--duration -1: give a finite"),
         (
-            lambda f, s: bv.watch("synthetic:", s, duration_s=0, ca="x"),
+            lambda f, s: bv.watch("synthetic:", s, duration_s=1, ca="x"),
             "--ca: for results that are",
         ),
         (lambda f, s: bv.connect("synthetic:", s, timeout_s=-1), "timeout_s -1: give a finite"),
@@ -170,7 +170,7 @@ def test_a_slice_of_a_simulation_is_saved_alone(sensor, tmp_path):
 
 def test_summary_says_that_the_linear_model_is_not_that_of_rubber(frames, sensor, estimated):
     rubber = changed(bv.load_sensor(sensor), membrane={"prestretch": 1.3})
-    said = "constant tension (without prestretch in the sensor file, or by --solver): forces on rub"
+    said = "constant tension (the sensor file has no prestretch, or the solver is linear): "
     assert said in estimated.to_text()
     assert said not in bv.estimate(frames[:1], rubber).to_text()
     assert said in bv.estimate(frames[:1], rubber, solver="fast").to_text()
@@ -186,7 +186,7 @@ def farther(frame, k):
 
 def test_a_wrong_sensor_file_is_refused_before_every_frame_is_tried(frames, sensor):
     bad, begun = [farther(frames[0], k) for k in range(40)], []
-    words = "no frame looks like the membrane .* \\(20 of 40 frames were tried\\)"
+    words = "no frame looks like the membrane .* \\(20 of 40 frames were tried; --frames"
     for solve in (bv.estimate, partial(bv.track, object="cylinder")):
         with pytest.raises(bv.InputError, match=words):
             solve(bad, sensor=sensor, progress=lambda *done: begun.append(done))
@@ -379,8 +379,9 @@ def test_a_saved_run_is_loaded_again(estimated, sensor, tmp_path):
         update={"folder": Path(), "file": ""}
     )
     assert got.facts()["max_force_n"] == estimated.facts()["max_force_n"]
+    assert got[2].caveat == got.facts()["model"] == estimated[2].caveat != ""
     force, half = got[2].force_magnitude_n, got[2].force_magnitude_half_width_n
-    assert f"{force:.3g} ± {half:.2g} N median in contact" in got[2:3].to_text()
+    assert f"{force:.3g} ± {half:.2g} N in contact (medians)" in got[2:3].to_text()
 
 
 @pytest.mark.parametrize("key", ["force_n", "seen_share", "displacement_3d_m", "patch_mask"])

@@ -76,6 +76,7 @@ REFUSED = [
     ("convert", "REC other.csv", "end it in .mcap, or give a folder"),
     ("convert", "REC other.txt", "end it in .mcap"),
     ("record", "synthetic: --out rec.txt", "end it in .mcap"),
+    ("record", "synthetic: --duration 0", "--duration 0.0: give a finite number of 0.001 or more"),
     ("validate", "REC --sensor S --out mine.txt", "end it in .png, .svg, .pdf, .csv or .json, or"),
     ("open", "--screenshot a.jpg", "a.jpg: wrong suffix for this output; end it in .png"),
     ("open nope.mcap", "--screenshot a.png", "nope.mcap: no such recording"),

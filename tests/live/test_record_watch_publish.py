@@ -156,7 +156,7 @@ def test_an_untrusted_estimate_shows_no_force(tmp_path, small_sensor_file):
 
 
 def test_watch_warns_while_it_runs_that_no_frame_fits(tmp_path, small_sensor_file):
-    path = untouched_recording(tmp_path / "rest.mcap", small_sensor_file, 30, 0.0)
+    path = untouched_recording(tmp_path / "rest.mcap", small_sensor_file, 60, 0.0)
     with bv.open(path) as frames:
         farther = (replace(each, depth_m=np.float32(1.5) * each.depth_m) for each in frames)
         record(tmp_path / "rec.mcap", farther)
