@@ -134,7 +134,8 @@ def select_pixels(
     inner = away_from_edges(membrane, 0.5 * statistics.correlation_length_px)
     typical = membrane & np.isfinite(residual_m)
     fence = upper_fence(statistics.scatter_m[typical], deviations)
-    fence = np.hypot(fence, statistics.quantum_m)  # of a pixel between two steps of the depth
+    # A pixel between two steps of the depth scatters by half a step, more in few correlated frames.
+    fence = np.hypot(fence, statistics.quantum_m)
     middle = float(np.median(residual_m[typical])) if typical.any() else 0.0
     spread = robust_sigma(residual_m[typical])
     # Comparisons with NaN are false: pixels without residual have an earlier reason.

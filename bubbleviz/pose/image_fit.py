@@ -153,7 +153,7 @@ class ImageFit:
         each, square = pulls * predicted.rounding[valid], predicted.square[valid]
         by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in each])
         pulled = by_position * pulls @ pulling + by_radius @ by_radius.T
-        pulled += (gain / known_off**2) @ gain.T
+        pulled += gain @ (gain / known_off**2).T
         covariance = np.linalg.inv(information + START_INFORMATION)
         persistent = covariance @ pulled @ covariance
         return ImageStep(information, g, persistent)
