@@ -63,6 +63,17 @@ def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor,
     assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
+def test_a_saved_sensor_is_used_by_its_file(drive, folder, tmp_path):
+    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
+    bench.identify()
+    bench.step(len(bench.panel.pages) - 1)
+    bench.panel.save(tmp_path / "mine.toml")
+    bench.wait(lambda: not bench.panel.calibration.unsaved and bench.panel.use.isEnabled())
+    bench.click(bench.panel.use)
+    bench.wait(lambda: bench.window.controller.sensor.name == "mine")
+    assert "not saved" not in bench.window.windowTitle()
+
+
 def test_identification_survives_close_and_another_recording_asks_to_save_it(
     drive, folder, monkeypatch
 ):

@@ -18,7 +18,7 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.calibration import Step, grade, headline
+from bubbleviz.calibration import Identification, Step, grade, headline
 from bubbleviz.progress import Progress
 from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.calibration.calibration_page import Page
@@ -50,6 +50,7 @@ class CalibrationPanel(QWidget):
         self._make_pages()
         self.steps = StepButtons(self, {page.name: page.title for page in self.pages})
         self._unsaved_sensor: Sensor | None = None  # identified sensor in use before it is saved
+        self._saved_file: Path | None = None  # of the identification saved last
         self.verdict = QLabel(wordWrap=True)
         self.back = push_button(
             "Back", "Previous step", lambda: self.go_to(self.stack.currentIndex() - 1)
@@ -120,7 +121,7 @@ class CalibrationPanel(QWidget):
         saved = f"Saved {path} and {report.name}"
 
         def on_saved(_: None) -> None:
-            self.calibration.saved = work
+            self.calibration.saved, self._saved_file = work, path
             remember_sensor(path, (named.sensor.camera.width, named.sensor.camera.height))
             controller = self.calibration.controller
             controller.state.messages.add("notice", saved, file=path, topic=CALIBRATION)
@@ -142,17 +143,22 @@ class CalibrationPanel(QWidget):
         found, present = self.calibration.answer.found, self.calibration.controller.sensor
         if not found.complete or present is None:
             return
+        saved = None if self.calibration.unsaved else self._saved_file
+        new = self._write_unsaved(found) if saved is None else load_sensor(saved)
+        open_sensor = self.calibration.controller.opening.use_sensor
+        self.calibration.undo.push("Use the new sensor", open_sensor, present, new)
+
+    def _write_unsaved(self, found: Identification) -> Sensor:
+        """The identified sensor in a temporary file, which is hidden from the user."""
         folder = TemporaryDirectory(prefix="bubbleviz-")
         self._folders.append(folder)  # the sensor reads its files again when reopened
         path = Path(folder.name) / "sensor.toml"
         from bubbleviz.calibration import write_sensor  # not at start
 
         write_sensor(found, path)
-        name = f"{found.sensor.name}, identified"
-        # the temporary file is hidden from the user
-        new = self._unsaved_sensor = load_sensor(path).model_copy(update={"name": name, "file": ""})
-        open_sensor = self.calibration.controller.opening.use_sensor
-        self.calibration.undo.push("Use the new sensor", open_sensor, present, new)
+        named = {"name": f"{found.sensor.name}, identified", "file": ""}
+        self._unsaved_sensor = load_sensor(path).model_copy(update=named)
+        return self._unsaved_sensor
 
     def close_all(self) -> None:
         """Stop the threads and remove temporary files."""

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
 
 class ReportPage(Page):
-    """Verdict, comparison with the sensor in use, and saving."""
+    """Verdict, comparison with the sensor in use before, and saving."""
 
     name = "Report"
     title = "Report"
-    task = "Compare with the sensor in use, then save the new one, or use it now."
+    task = "Compare with the sensor used before, then save the new one, or use it now."
     next_title = "Compare and save"
 
     def __init__(self, calibration: Calibration, units: Units) -> None:
@@ -42,7 +42,7 @@ class ReportPage(Page):
         self.advice = QLabel(wordWrap=True)
         self.advice.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.compared = QLabel(wordWrap=True)
-        self.table = Table(("", "in use", "new"))
+        self.table = Table(("", "before", "new"))
         self.view = ImageView("around zero")
         self._lay_out()
 
@@ -57,13 +57,13 @@ class ReportPage(Page):
             lines = [*advice(found, pressure), *map(sentence, parameters(found, pressure))]
         self.advice.setText("\n".join(f"• {line}" for line in lines))
         old = answer.compared_with
-        self.compared.setText(f"In use: {old.name}" if old is not None else "")
+        self.compared.setText(f"Before: {old.name}" if old is not None else "")
         self._show_table(comparison)
         length = self.units.fine_length
         difference = comparison.difference_m if comparison is not None else None
         limit = comparison.largest_m if comparison is not None else 1e-3
         self.view.show_image(
-            "Expected range of the untouched membrane, new sensor minus the one in use",
+            "Expected range of the untouched membrane, new sensor minus the one before",
             difference, length, -limit, limit)  # fmt: skip
 
     def _show_table(self, comparison: SensorComparison | None) -> None:
