@@ -18,12 +18,13 @@ from statistics import quantiles
 
 from benchmarks.window.bench_window import live_window, recorded_run
 from benchmarks.window.live_soak import Publisher, gaps_in, resized_file, sequences
-from benchmarks.window.process_usage import process_seconds, resident_bytes, thread_seconds
+from benchmarks.window.process_usage import process_seconds, thread_seconds
 from benchmarks.window.replay_rate import beats, run_for
 from bubbleviz.api.summary import Summary
 from bubbleviz.errors import InputError
 from bubbleviz.live import SessionPreset
 from bubbleviz.sensor import load_sensor
+from bubbleviz_ui.engine.upkeep import resident_mib
 from bubbleviz_ui.live.connection import LiveRun
 from bubbleviz_ui.window_session import WindowSession
 
@@ -49,7 +50,7 @@ class PairReport(Summary):
     repeated: int
     blocked_p99_ms: float  # between two beats of the event loop
     blocked_ms: float
-    memory_growth_bytes: int
+    memory_growth_mib: float
     cores_used: dict[str, float]  # processor time of threads and processes a second
     load_average: float
     cores: int
@@ -74,7 +75,7 @@ class PairReport(Summary):
                 f"p95; blocked {self.blocked_p99_ms:.0f} ms p99, {self.blocked_ms:.0f} ms at most",
                 f"recorded  {self.recorded} depth images, {self.missing} missing, "
                 f"{self.repeated} twice",
-                f"memory    {self.memory_growth_bytes / 2**20:+.1f} MiB",
+                f"memory    {self.memory_growth_mib:+.1f} MiB",
                 f"cores     {sum(used.values()):.2f} used: {threads}; publishers {publishers:.2f}",
                 f"machine   load {self.load_average:.1f} on {self.cores} cores",
             ]
@@ -108,7 +109,7 @@ class _Counts:
     solved: list[int]
     pictures: int
     used_s: dict[str, float]
-    memory_bytes: int
+    memory_mib: float
 
     @classmethod
     def now(cls, session: WindowSession, run: LiveRun, publishers: list[Publisher]) -> _Counts:
@@ -122,7 +123,7 @@ class _Counts:
             [len(frames) for frames in run.frames],
             session.window.view.render_count,
             used,
-            resident_bytes(),
+            resident_mib(),
         )
 
 
@@ -182,7 +183,7 @@ def _count_pair(
         repeated=sum(repeated for _, repeated in gaps),
         blocked_p99_ms=quantiles(gaps_ms, n=100)[-1],
         blocked_ms=max(gaps_ms),
-        memory_growth_bytes=after.memory_bytes - before.memory_bytes,
+        memory_growth_mib=after.memory_mib - before.memory_mib,
         cores_used=dict(sorted(told.items(), key=lambda each: -each[1])),
         load_average=os.getloadavg()[0],
         cores=os.cpu_count() or 1,

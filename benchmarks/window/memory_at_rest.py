@@ -9,10 +9,9 @@ import gc
 from dataclasses import fields
 from typing import TYPE_CHECKING
 
-from benchmarks.window.process_usage import resident_mib
 from benchmarks.window.replay_rate import run_for
 from bubbleviz.calibration import Step
-from bubbleviz_ui.engine.upkeep import release_memory
+from bubbleviz_ui.engine.upkeep import release_memory, resident_mib
 from bubbleviz_ui.shell.dock import Dock
 
 if TYPE_CHECKING:

@@ -30,9 +30,9 @@ from PySide6.QtWidgets import (
 
 from benchmarks.window.bench_window import bench_window
 from benchmarks.window.memory_at_rest import Rest
-from benchmarks.window.process_usage import resident_mib
 from benchmarks.window.replay_rate import beats
 from bubbleviz.sensor import Sensor
+from bubbleviz_ui.engine.upkeep import resident_mib
 from bubbleviz_ui.window_session import WindowSession
 
 REST_EVERY_S = 60.0  # interval of closing everything and measuring memory

@@ -1,9 +1,8 @@
-"""Processor time of the threads of this process and of other processes, and its memory (Linux)."""
+"""Processor time of the threads of this process and of other processes (Linux)."""
 
 from __future__ import annotations
 
 import os
-import resource
 import threading
 from collections import defaultdict
 from pathlib import Path
@@ -36,17 +35,3 @@ def process_seconds(number: int) -> float:
 def _seconds(stat: str) -> float:
     user, system = stat[stat.rindex(")") + 2 :].split()[11:13]
     return (int(user) + int(system)) / TICKS_HZ
-
-
-def resident_bytes() -> int:
-    """Resident memory of this process; if the system does not report it, the peak."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
-        return pages * os.sysconf("SC_PAGE_SIZE")
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
-def resident_mib() -> float:
-    """The same in MiB."""
-    return resident_bytes() / 2**20

@@ -309,9 +309,8 @@ def test_garbage_of_another_thread_is_collected_in_the_gui_thread(wait):
 def test_unused_memory_is_returned_to_the_system():
     done = run_python("""
 import numpy as np
-from benchmarks.window.process_usage import resident_mib
 from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.engine.upkeep import release_memory
+from bubbleviz_ui.engine.upkeep import release_memory, resident_mib
 before = resident_mib()
 pieces = [np.ones(100 << 10, np.uint8) for _ in range(1500)]  # too small for memory of their own
 last = pieces[-1]  # keeps the heap from shrinking
