@@ -45,7 +45,7 @@ class Bench(Driver):
         assert self.dialog.export.isEnabled()
         self.click(self.dialog.export)
         # A short export may be over before what it says has arrived.
-        self.wait(lambda: self.window.exporting.busy or self.dialog.message.text())
+        self.wait(lambda: self.window.exporting.busy or bool(self.dialog.message.text()))
 
     def export(self, title, out, chosen=""):
         """Export, wait until it is over; what is said then."""
