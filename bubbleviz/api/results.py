@@ -529,12 +529,10 @@ class Run(Sequence[FrameResult], Summary):
     def __repr__(self) -> str:
         if not len(self):
             return f"<0 frames of {self.context['recording']}>"
-        table, largest = self._numbers.columns(), ""
-        force = np.array(table["force_magnitude_n"])
+        force, largest = np.linalg.norm(self.force_n, axis=1), ""
         if np.isfinite(force).any():
             k = int(np.nanargmax(force))
-            half = table["force_magnitude_half_width_n"][k]
-            largest = f", up to {_force_text(force[k], half)}"
+            largest = f", up to {_force_text(force[k], self._numbers.half_widths_n[k])}"
         statuses = counted(Counter(each["status"] for each in self.rows()))
         frames = count_of(len(self), "frame")
         return f"<{frames} of {self.context['recording']}: {statuses}{largest}>"

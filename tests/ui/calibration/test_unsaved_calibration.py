@@ -72,6 +72,11 @@ def test_a_saved_sensor_is_used_by_its_file(drive, folder, tmp_path):
     bench.click(bench.panel.use)
     bench.wait(lambda: bench.window.controller.sensor.name == "mine")
     assert "not saved" not in bench.window.windowTitle()
+    bench.undo()
+    bench.wait(lambda: bench.window.controller.sensor.name != "mine")
+    (tmp_path / "mine.toml").unlink()
+    bench.click(bench.panel.use)
+    bench.wait(lambda: "not saved" in bench.window.windowTitle())
 
 
 def test_identification_survives_close_and_another_recording_asks_to_save_it(

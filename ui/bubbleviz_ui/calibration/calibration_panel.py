@@ -144,7 +144,10 @@ class CalibrationPanel(QWidget):
         if not found.complete or present is None:
             return
         saved = None if self.calibration.unsaved else self._saved_file
-        new = self._write_unsaved(found) if saved is None else load_sensor(saved)
+        if saved is not None and saved.is_file():  # not deleted since
+            new = load_sensor(saved)
+        else:
+            new = self._write_unsaved(found)
         open_sensor = self.calibration.controller.opening.use_sensor
         self.calibration.undo.push("Use the new sensor", open_sensor, present, new)
 

@@ -53,7 +53,7 @@ TICK_MS = 1000
 IDLE_TICKS = 3
 """Ticks without a change after which the window is idle."""
 GROWTH_MIB = 64.0
-"""Growth after which memory is released in use: the most that is held in vain, about a tenth."""
+"""Growth after which memory is released in use: at most as much is unused, a tenth of all."""
 
 
 def release_memory() -> None:
