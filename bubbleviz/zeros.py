@@ -265,7 +265,7 @@ class PressureZero:
             return (
                 f"gas pressure zero: unknown (±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa of "
                 f"{causes}, 95 %), as fewer than {MIN_FRAMES} contact-free frames in a row fit the "
-                "sensor file"
+                "sensor file; the gas law of the chamber is used instead"
             )
         return f"gas pressure zero: {self.offset_pa:+.0f} Pa from {self.frames} contact-free frames"
 

@@ -113,6 +113,7 @@ def simulate(
     object: str | Path | RigidObject,
     pose: str | Path | np.ndarray,
     *,
+    unit: Literal["m", "mm"] | None = None,
     frames: int = 1,
     rate_hz: float = 30.0,
     noise_sigma_m: float = 0.0,
@@ -136,10 +137,12 @@ def simulate(
     sensor : str, path or Sensor
         Sensor file or preset.
     object : str, path or RigidObject
-        Preset or mesh file, in m (in mm if its name ends in `_mm`).
+        Preset or mesh file.
     pose : str, Path or array
         T_B_O: "x y z qx qy qz qw" (m, unit quaternion) or an array (4, 4) for all frames, an array
         (F, 4, 4), or the `Path` of a CSV with a pose for each frame.
+    unit : {"m", "mm"}, optional
+        Unit of the object's mesh file; by default mm if its name ends in `_mm`, else m.
     frames : int
         Frames at one pose.
     rate_hz : float
@@ -196,7 +199,7 @@ def simulate(
         holes=holes,
         outliers=outliers,
     )
-    sensor, obj, times = load_sensor(sensor), load_object(object), None
+    sensor, obj, times = load_sensor(sensor), load_object(object, unit), None
     moved = drag_m != 0.0 or twist_rad != 0.0
     with OneBlasThread():
         if isinstance(pose, Path):

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -174,6 +174,7 @@ def watch(
     connect: str | None = None,
     duration_s: float | None = None,
     object: str | Path | RigidObject | None = None,
+    unit: Literal["m", "mm"] | None = None,
     solver: str | None = None,
     friction: float | None = None,
     zero_gas: bool = True,
@@ -201,7 +202,9 @@ def watch(
     duration_s : float, optional
         Duration from the first frame on, s; by default until ^C or the end of the source.
     object : str, path or RigidObject, optional
-        Object to track: preset, or mesh file in m (in mm if its name ends in `_mm`).
+        Object to track: preset or mesh file.
+    unit : {"m", "mm"}, optional
+        As in `track`.
     solver, friction, zero_gas, shear, colour_delay_s
         As in `estimate`; the zero of the gas pressure comes from the first contact-free frames.
     **credentials
@@ -225,7 +228,7 @@ def watch(
             f"{unused}= in the source"
         )
     own = with_colour_delay(sensor_of(source, sensor), colour_delay_s)
-    obj = None if object is None else load_object(object)
+    obj = None if object is None else load_object(object, unit)
     options: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
     options |= {"object": obj, "shear": shear}
     with ExitStack() as stack:

@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from bubbleviz.camera import DepthCamera
+from bubbleviz.files import presets_folder
 from bubbleviz.recordings import Recording
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.simulation import resized, with_nodes
-from tests.program import output_of
+from tests.program import output_of, refusal
 
 POSE = "0.004 0 0.040 0 0 0 1"
 
@@ -63,6 +65,18 @@ def test_an_object_that_touches_nothing_is_told(sensor_file, tmp_path):
     above = "--object", "sphere", "--pose", "0 0 0.060 0 0 0 1", "--frames", 2
     told = output_of(*words_of(sensor_file, tmp_path, *above))
     assert told.endswith("out.mcap: 2 frames, the object touches nothing\n")
+
+
+def test_unit_of_the_mesh_file_option(sensor_file, tmp_path):
+    sphere = trimesh.load_mesh(presets_folder("objects") / "sphere.ply")
+    sphere.apply_scale(1e3).export(tmp_path / "cad.stl")
+    options = "--pose", POSE, "--object", tmp_path / "cad.stl"
+    assert "--unit mm" in refusal(*words_of(sensor_file, tmp_path, *options))
+    output_of(*words_of(sensor_file, tmp_path, *options, "--unit", "mm"))
+    with Recording(tmp_path / "out.mcap") as recording:
+        image = recording[0].depth_m
+    preset = depths(sensor_file, tmp_path / "preset")
+    np.testing.assert_allclose(image, preset, rtol=0.0, atol=1e-5)  # STL has no shared vertices
 
 
 def depths(sensor_file, folder, *options):
