@@ -46,7 +46,7 @@ STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
 """Default reason of each status."""
 GAS_CONTRADICTS = (
     "the measured gas pressure does not fit the measured shape; zero it without contact, or check "
-    "the pressure sensor"
+    "the pressure sensor and the gauge pressure in the sensor file"
 )
 
 
