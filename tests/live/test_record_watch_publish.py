@@ -281,7 +281,8 @@ def test_an_encrypted_endpoint_accepts_certificate_and_password(
     finally:
         publisher.terminate()
         publisher.communicate(timeout=240)
-    said = refusal("record", "--source", f"zenoh:{endpoint}?ca=nowhere.pem", "--out", f"{out}2")
+    source, out = f"zenoh:{endpoint}?ca=nowhere.pem", tmp_path / "second.mcap"
+    said = refusal("record", "--source", source, "--out", out)
     assert "nowhere.pem: no such file" in said
 
 

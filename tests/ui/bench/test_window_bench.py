@@ -49,9 +49,9 @@ def test_random_clicks_and_keys_raise_no_exception():
 def test_monkey_finds_an_exception_in_a_slot():
     broken = (
         "from bubbleviz_ui.model.session_state import SessionState\n"
-        "SessionState.set_panel_open = lambda *a, **k: 1 / 0\n"
+        "SessionState.step = lambda *_: 1 / 0\n"  # a slot of actions and keys
     )
-    _, problems = monkey(2.0, seed=1, before=broken)
+    _, problems = monkey(2.0 * FULL_S, seed=1, before=broken)
     assert any("ZeroDivisionError" in problem for problem in problems)
 
 
