@@ -393,6 +393,18 @@ def _is_contact_free(result: Result) -> bool:
     return result.estimate is not None and result.estimate.status == "no_contact"
 
 
+def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
+    """Whether a contact explains most of the residual of an image that noise explains, too.
+
+    Presses that differ in all frames look like noise. But no contact explains three quarters of the
+    squares of noise, as it has far fewer unknowns than there are pixels.
+    """
+    alone = replace(frame, gas_pressure_pa=None)
+    noise = pipeline.estimate_once(alone)
+    contact = pipeline.estimate_once(replace(alone, noise=1.0))
+    return contact.trusted and contact.residual_rms_m < 0.5 * noise.residual_rms_m
+
+
 def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:
     """Bias of the wrench sensor: median force (3,) of the first contact-free frames, N.
 
@@ -443,6 +455,7 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
         others = {max(index - LAG, 0), min(index + LAG, len(source) - 1)} - {index}
         noises = (pipeline.image_noise([frame, source[k]])[0] for k in sorted(others))
         frame = replace(frame, noise=min(noises, default=1.0))
-        return frame if frame.noise > 1.0 and pipeline.is_untouched(frame) else None
+        untouched = frame.noise > 1.0 and pipeline.is_untouched(frame)
+        return frame if untouched and not _explained_by_contact(frame, pipeline) else None
     except InputError:
         return None

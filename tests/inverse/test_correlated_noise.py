@@ -93,3 +93,17 @@ def test_presses_are_no_noise():
     precise = changed(rubber_dome(), camera={"noise_relative": 0.1 * RELATIVE})
     frames = [noisy(frame, k, 0.0, 0.1 * RELATIVE) for k, frame in enumerate([rest] * 10 + pressed)]
     assert zeros_of(HeldFrames(frames), Pipeline.of(precise)).gas.frames == 10
+
+
+def test_deep_presses_that_differ_in_all_frames_are_no_noise():
+    camera = {"width": 320, "height": 240, "fx": 224.0, "fy": 224.0, "cx": 159.5, "cy": 119.5}
+    camera |= {"position_m": (0.0, 0.0, -0.062), "noise_relative": 0.0015}
+    membrane = {"rim_radius_m": 0.04, "height_m": 0.028, "nodes": 800}
+    steep = changed(rubber_dome(), membrane=membrane, camera=camera)
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, 2, 3] = [0.06, 0.06, 0.0195, 0.014, 0.0085]  # of the ball's lowest point
+    press = bv.simulate(steep, "sphere", poses, noise_relative=0.0015)
+    run = bv.estimate(list(press), steep)
+    assert run.status.tolist() == 2 * ["no_contact"] + 3 * ["ok"]
+    forces = [press.truth(k).force_n for k in range(5)]
+    assert run.force_n == pytest.approx(np.array(forces), abs=0.1)
