@@ -272,7 +272,6 @@ def test_controls_follow_undo(drive):
             window.pose.stage.currentText(), window.threshold.least.value(),
             window.compare.a.controls["nodes"].value(),
             window.compare.b.controls["solver"].currentText(),
-            window.shear.flow.currentText(),
             [action.isChecked() for action in window.plots.boxes.values()],
             [action.isChecked() for action in window.images.boxes.values()],
         ]  # fmt: skip
