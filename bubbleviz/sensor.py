@@ -90,6 +90,10 @@ class Membrane(Section):
     sheet_share: float | None = Field(default=None, ge=0.0, le=1.0)
     """Share of an initially flat sheet in the stress that shape and pressure leave open, as on oval
     rims; absent: 0, the stress of a film."""
+    unequal_tension_x: float | None = Field(default=None, gt=-1.0, lt=1.0)
+    """(Tx − Ty) / (Tx + Ty) by unequal stretch along x and y before inflation; absent: 0."""
+    unequal_tension_xy: float | None = Field(default=None, gt=-1.0, lt=1.0)
+    """2 Txy / (Tx + Ty), the same between x and y."""
     stiffness_gradient_x: Gradient | None = None
     """Relative change of the rubber's stiffness from the middle to the rim along x; absent: 0."""
     stiffness_gradient_y: Gradient | None = None
@@ -211,6 +215,8 @@ class Calibration(Section):
     prestretch_from: str | None = None  # source of λ
     # 95 % intervals
     sheet_share_interval: tuple[float, float] | None = None
+    unequal_tension_x_interval: tuple[float, float] | None = None
+    unequal_tension_xy_interval: tuple[float, float] | None = None
     stiffness_gradient_x_interval: tuple[float, float] | None = None
     stiffness_gradient_y_interval: tuple[float, float] | None = None
     stiffness_gradient_r_interval: tuple[float, float] | None = None
@@ -272,6 +278,8 @@ MEASURED = {
     "pneumatics.gauge_pressure_pa": ("gauge_interval_pa", "gauge_from"),
     "membrane.prestretch": ("prestretch_interval", "prestretch_from"),
     "membrane.sheet_share": ("sheet_share_interval",),
+    "membrane.unequal_tension_x": ("unequal_tension_x_interval",),
+    "membrane.unequal_tension_xy": ("unequal_tension_xy_interval",),
     "membrane.stiffness_gradient_x": ("stiffness_gradient_x_interval",),
     "membrane.stiffness_gradient_y": ("stiffness_gradient_y_interval",),
     "membrane.stiffness_gradient_r": ("stiffness_gradient_r_interval",),

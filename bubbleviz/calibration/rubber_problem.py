@@ -1,15 +1,15 @@
 """Least-squares problem for pre-stretch and gauge pressure, from inflation levels or a press.
 
-The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except on oval
-rims: there the stress lies between that of a film and that of an initially flat sheet, at a share
-from 0 to 1. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose stiffness μh may change linearly with
-x and y, and from middle to rim. When the gas pressure changes by a measured Δp, the shape depends
-on q, on (G + Δp)/G, on that share and gradient, and in a press on the contact pressures. The
-unknowns are q, G, the share, the gradient, the contact pressures of the nodes in the dent (an
-inflation level has none), and the errors of the gas pressures. The residuals, each over its
-standard deviation, are the changes of range from rest, in which fixed errors of camera and mesh
-cancel; the differences of G from the sensor file or open chamber, and of share and gradient from
-their prior means; and the pressure errors.
+The rest surface S0 and its gauge pressure G determine the stress at rest by statics, except for a
+difference of the tensions along x and y, and their shear, which only the rim holds: a sheet
+stretched unequally over its rim has them. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose
+stiffness μh may change linearly with x and y, and from middle to rim. When the gas pressure changes
+by a measured Δp, the shape depends on q, on (G + Δp)/G, on that unequal tension and the gradient,
+and in a press on the contact pressures. The unknowns are q, G, the unequal tension, the gradient,
+the contact pressures of the nodes in the dent (an inflation level has none), and the errors of the
+gas pressures. The residuals, each over its standard deviation, are the changes of range from rest,
+in which fixed errors of camera and mesh cancel; the differences of G from the sensor file or open
+chamber, and of unequal tension and gradient from their prior means; and the pressure errors.
 
 The noise of a hundred thousand pixels averages out, but model errors do not, so the ranges would
 outweigh the prior knowledge. So their residuals are tempered: their weight is divided by the ratio
@@ -62,7 +62,7 @@ from bubbleviz.recordings import (
     tukey_weights,
 )
 from bubbleviz.result import HALF_95
-from bubbleviz.sensor import LARGEST_GRADIENT, Sensor
+from bubbleviz.sensor import Sensor
 
 SMALLEST_Q, LARGEST_Q = 1e-3, 0.97
 """Range of q: λ from 3.2, which differs little from constant tension, to 1.005."""
@@ -70,17 +70,23 @@ _INITIAL_Q = (0.35, 0.7, 0.05)
 """λ of 1.19; then 1.06 and 1.65, if the shapes have no equilibrium or the fit runs to constant
 tension, as it may if the gauge pressure is far too low."""
 _MIN_GAUGE = 0.1  # over the initial or the found gauge pressure
-_SHARE, SHARE_SIGMA = 0.5, 1.0 / np.sqrt(12.0)
-"""Mean and standard deviation of the share, of a uniform distribution from 0 to 1."""
+_UNEQUAL_SIGMA = 1.0 / 6.0
+"""Standard deviation of both parts of the unequal tension of a flat sheet. One stretched by small
+e₁ and e₂ has (T₁ − T₂)/(T₁ + T₂) = (e₁ − e₂)/(3 (e₁ + e₂)). It is slack nowhere, so e₁, e₂ ≥ 0, and
+both parts lie in a circle of radius 1/3; the distribution over it is taken as uniform. At λ of 1.2,
+σ is a difference of 11 % between the stretches. How equally hands stretch a sheet is not known."""
 _GRADIENT_SIGMA = 0.1
 """Standard deviation of a gradient, which is half the range of stiffness over the membrane. In ISO
 3302-1 a moulded thickness of 1 mm has a tolerance of ±0.10 (M1), ±0.15 (M2) or ±0.40 mm (M3); ±0.2
 is taken as the 95 % interval."""
-_RUBBER, _MATERIAL = [0, 2, 3, 4, 5], 6
-"""Indices of q, share and gradient among the unknowns, and number of unknowns before the contact
-pressures; index 1 is G over its initial value."""
+_RUBBER, _MATERIAL = [0, 2, 3, 4, 5, 6], 7
+"""Indices of q, unequal tension and gradient among the unknowns, and number of unknowns before the
+contact pressures; index 1 is G over its initial value."""
+_UNEQUAL = [2, 3]
+_NAMES = [name for name in RUBBER_PARAMETERS if name != "sheet_share"]
+"""Parameters in the sensor file of the unknowns `_RUBBER`."""
 _NO_NODES = np.zeros(0, int)
-_STEP = 1e-3  # of q, relative, of the share and of the gradient, for derivatives of the forces
+_STEP = 1e-3  # of q, relative, of unequal tension and gradient, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
 PRESSURE_ERROR = 0.01
 """Standard deviation of gas pressure differences between recordings, over their largest gauge
@@ -101,21 +107,23 @@ _OUTLIER = 10.0  # residual, in standard deviations, of a block whose ray misses
 
 T = TypeVar("T")
 Rubber = Callable[..., RubberMembrane]
-"""The membrane at a gauge pressure of 1 Pa as a function of q, share, and gradient in x, y, r."""
+"""The membrane at a gauge pressure of 1 Pa as a function of q, unequal tension in x, xy, and
+gradient in x, y, r."""
 
 
 def _rest_rubber(
     mesh: MembraneMesh,
     slack_m: float | None,  # as in `RubberMembrane`
-    # stress at rest of a film, as of `Prestress.on`, and the excess of an initially flat sheet
+    # stress at rest of a film, as of `Prestress.on`, and of unequal tension
     film: np.ndarray,
-    open_stress: np.ndarray,
+    unequal: np.ndarray,
 ) -> Rubber:
     tension, changes = 1.0 / mean_curvature(mesh), stiffness_changes(mesh)  # γ0, m
 
-    def rubber(q: float, share: float, *gradient: float) -> RubberMembrane:
-        mu_h = tension / (1.0 - q) * (1.0 + changes @ gradient)
-        return prestressed(mesh, 1.0, mu_h, film + share * open_stress, slack_m)
+    def rubber(q: float, *values: float) -> RubberMembrane:
+        mu_h = tension / (1.0 - q) * (1.0 + changes @ values[2:])
+        stress = film + np.tensordot(values[:2], unequal, 1)
+        return prestressed(mesh, 1.0, mu_h, stress, slack_m)
 
     return rubber
 
@@ -130,7 +138,7 @@ Shape = tuple[ShapeRanges, Factor]
 
 
 class RubberProblem:
-    """Least squares in q, G, share, gradient, contact pressures, and errors of gas pressures.
+    """Least squares in q, G, unequal tension, gradient, contact and errors of gas pressures.
 
     G is relative to its initial value, contact pressures to G, and the errors of the gas pressures
     of rest and shapes to their standard deviations.
@@ -155,9 +163,18 @@ class RubberProblem:
         self._stress_sigma = found.surfaces.stress_sigma
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
-        film, sheet = _film_stress(mesh), self._surfaces.flat_sheet
-        self._open_stress = np.zeros_like(film) if sheet is None else sheet[0].on(mesh) - film
-        rubber = _rest_rubber(mesh, self._slack_m, film, self._open_stress)
+        film, sheet = Prestress.of(mesh, 1.0), self._surfaces.flat_sheet
+        fields = film.unequal(mesh, 1.0)
+        self._unequal = np.stack([each.on(mesh) for each in fields])
+        # an equally stretched sheet, inflated over an oval rim, is tighter across the oval
+        self._of_sheet = np.zeros(2)
+        if sheet is not None:
+            basis = np.stack([each.weights.ravel() for each in fields], axis=1)
+            excess = (sheet[0].weights - film.weights).ravel()
+            self._of_sheet = np.linalg.lstsq(basis, excess, rcond=None)[0]
+        # prior means of G to gradient; those of the unequal tension are between film and sheet
+        self._means = np.array([1.0, *0.5 * self._of_sheet, 0.0, 0.0, 0.0])
+        rubber = _rest_rubber(mesh, self._slack_m, film.on(mesh), self._unequal)
         self._rubber = lru_cache(maxsize=1 + len(_RUBBER))(rubber)
         self._shapes, self._pressed = shapes, pressed
         pressures = np.array([_mean_pressure(each) for each in (rest, *shapes)])
@@ -188,7 +205,7 @@ class RubberProblem:
                 root = np.linalg.cholesky(laplacian[zone][:, zone].toarray()).T
                 self._smooth[place.start - _MATERIAL :][: len(zone), place] = root / PRESSURE_SCALE
         self._start_from_rest()
-        tangent = self._rubber(_INITIAL_Q[0], _SHARE, 0.0, 0.0, 0.0).tangent(mesh.nodes, 1.0)
+        tangent = self._rubber(_INITIAL_Q[0], *self._means[1:]).tangent(mesh.nodes, 1.0)
         self._factoriser = Factoriser(tangent)
         # shapes, None where the rubber has no equilibrium, and slopes of the last vector
         self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
@@ -277,6 +294,8 @@ class RubberProblem:
             of_shape = np.zeros((len(rows), self._size))
             by_rise = rows[:, last]  # per pascal
             of_shape[:, _RUBBER] = rows[:, 1:last]
+            if self._pressed:  # friction, which is not modelled, changes a dent in a similar way
+                of_shape[:, _UNEQUAL] = 0.0
             of_shape[:, 1] = -rises_pa[k] / vector[1] * by_rise
             of_shape[:, place] = rows[:, last + 1 :]
             of_shape[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
@@ -297,12 +316,16 @@ class RubberProblem:
     def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
         """Least squares over the shapes alone, and with a prior of relative σ on G.
 
-        Returns for both fits q, G over its initial value, share and gradient, (2, 6), and their
-        covariances with model errors, (2, 6, 6); and the robust rms residual of the second, m.
+        Returns for both fits q, G over its initial value, unequal tension and gradient, (2, 7), and
+        covariances with model errors, (2, 7, 7); and the robust rms residual of the second, m.
         Raises InputError: no rubber explains the shapes.
         """
         alone, others_m, temper = self._alone()
         covariance, _ = self._covariance(alone, others_m, np.inf, temper)
+        gain = covariance[0, 1] / (covariance[1, 1] + gauge_sigma**2)  # of q by the prior on G
+        square = covariance[0, 0] - gain * covariance[0, 1]
+        # by the largest stretch in the interval
+        self._expect(alone[0] + gain * (1.0 - alone[1]) - HALF_95 * np.sqrt(max(square, 0.0)))
         vector = self._minimise(alone, self._scale(alone), gauge_sigma, temper)
         both = np.stack([alone[:_MATERIAL], vector[:_MATERIAL]])
         with_prior, _ = self._covariance(vector, others_m, gauge_sigma, temper)
@@ -314,13 +337,15 @@ class RubberProblem:
         found: tuple[np.ndarray, list[np.ndarray], float] | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
-            start[:3] = q, 1.0, _SHARE
+            start[:_MATERIAL] = q, *self._means
+            self._expect(q)
             self._start_from_rest()
             if self._shapes_at(start) is None:
                 continue
             vector = self._minimise(start, None, np.inf, 1.0)
             others_m = self._other_models(vector)
             temper = self._covariance(vector, others_m, np.inf, 1.0)[1]
+            self._expect(vector[0])
             vector = self._minimise(vector, self._scale(vector), np.inf, temper)
             found = vector, others_m, temper
             if found[0][0] > 1.01 * SMALLEST_Q:
@@ -333,11 +358,22 @@ class RubberProblem:
             " recorded gas pressures, and the pressures in the sensor file"
         )
 
+    def _expect(self, q: float) -> None:
+        """Set the standard deviation of the unequal tension by the stretch λ = q^(−1/6).
+
+        A flat sheet may be stretched unequally before it is inflated, not by inflation, and a
+        moulded dome has no such stretch: its λ is less than a flat sheet needs for its area.
+        """
+        stretch = max(q, SMALLEST_Q) ** (-1.0 / 6.0)
+        by_inflation = np.sqrt(self._mesh.facet_areas.sum() / self._mesh.facet_vectors[:, 2].sum())
+        part = np.clip((stretch - by_inflation) / (stretch - 1.0), 0.01, 1.0)  # 0 is singular
+        self._unequal_sigma = np.hypot(part * _UNEQUAL_SIGMA, self._of_sheet / np.sqrt(12.0))
+
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and right sides of the priors on G, share, gradient, and errors of gas pressures."""
+        """Rows and right sides of the priors on G, stress, gradient, and gas pressures."""
         sigma, mean = np.ones(self._size), np.zeros(self._size)
-        sigma[1:_MATERIAL] = gauge_sigma, SHARE_SIGMA, *3 * [_GRADIENT_SIGMA]
-        mean[1:3] = 1.0, _SHARE
+        sigma[1:_MATERIAL] = gauge_sigma, *self._unequal_sigma, *3 * [_GRADIENT_SIGMA]
+        mean[1:_MATERIAL] = self._means
         known = [*range(1, _MATERIAL), *range(self._size)[self._errors]]
         rows = np.diag(1.0 / sigma)[known]
         return rows, rows @ mean
@@ -383,11 +419,12 @@ class RubberProblem:
 
         low, high = np.full(self._size, -np.inf), np.full(self._size, np.inf)
         low[:2], high[0] = (SMALLEST_Q, np.log(_MIN_GAUGE)), LARGEST_Q
-        low[3:_MATERIAL], high[3:_MATERIAL] = -LARGEST_GRADIENT, LARGEST_GRADIENT
+        limits = np.array([RUBBER_PARAMETERS[name] for name in _NAMES[1:]])
+        low[2:_MATERIAL], high[2:_MATERIAL] = limits.T
         start, x_scale = vector.copy(), np.ones(self._size)
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
-        x_scale[:_MATERIAL] = 0.1, 0.1, SHARE_SIGMA, *3 * [_GRADIENT_SIGMA]
+        x_scale[:_MATERIAL] = 0.1, 0.1, *2 * [_UNEQUAL_SIGMA], *3 * [_GRADIENT_SIGMA]
         x_scale[_MATERIAL : self._errors.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
@@ -423,9 +460,9 @@ class RubberProblem:
 
         by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
         inverse = np.linalg.inv(by_data + priors.T @ priors)[:_MATERIAL]
-        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 6)
+        influence = (inverse @ (weight * root * slopes.T * root)).T  # of each change, (D, 7)
         known = np.nan_to_num(residuals)
-        errors = [  # (6,) each, of the material, by one source of error
+        errors = [  # (7,) each, of the material, by one source of error
             (self._mesh.edge_length * 0.5 * mean_curvature(self._mesh)) ** 2
             * (influence.T @ (change_m - known)),
             -self._stress_sigma * (influence.T @ by_stress),
@@ -449,6 +486,9 @@ class RubberProblem:
         white = inverse[1] @ by_data @ inverse[1]
         temper = float(covariance[1, 1] / white)
         covariance = covariance + inverse @ priors.T @ priors @ inverse.T
+        # model errors may count more in the unequal tension than what is expected of it
+        both = _UNEQUAL, _UNEQUAL
+        covariance[both] = np.minimum(covariance[both], self._unequal_sigma**2)
         return covariance, temper
 
     def _other_models(self, vector: np.ndarray) -> list[np.ndarray]:
@@ -457,7 +497,7 @@ class RubberProblem:
         # moves G by −2 %, and the free form by +2 and −4 % (by 0 without noise).
         mesh, other = self._mesh, self._surfaces.other_mesh
         at_rest_m = self._observer.around(other.nodes).model_m
-        rubber = partial(_rest_rubber, slack_m=self._slack_m, open_stress=self._open_stress)
+        rubber = partial(_rest_rubber, slack_m=self._slack_m, unequal=self._unequal)
         modelled_m = self._change_m - self._residuals(vector)
         found = (
             (self._predicted(vector, of_film(*vector[_RUBBER].tolist())), at_rest_m)
@@ -622,6 +662,9 @@ def _fitted(
     if unexplained > _MAX_UNEXPLAINED * change:
         misfit = f"misfit {1e3 * unexplained:.2g} mm rms of a change of {1e3 * change:.2g} mm rms"
         return replace(known, why_not=f"no rubber of this shape at rest fits: {misfit}")
+    if values[1, 1] < 1.01 * _MIN_GAUGE:  # a limit of the fit
+        less = f"{_MIN_GAUGE * file.value:.0f} Pa or less"
+        return replace(known, why_not=f"the {kind} fit best a gauge pressure at rest of {less}")
     if found.vented is not None:
         source = f"{source}; the gauge pressure from {file.source}"
         return _with_parameters(known, values[1], covariances[1], 1.0, source)
@@ -638,8 +681,8 @@ def _fitted(
 
 def _with_parameters(
     known: Identification,  # with the gauge pressure found
-    values: np.ndarray,  # (6,), q, G over the initial one, share and gradient
-    covariance: np.ndarray,  # (6, 6)
+    values: np.ndarray,  # (7,), q, G over the initial one, unequal tension and gradient
+    covariance: np.ndarray,  # (7, 7)
     wider: float,  # σ of the gauge pressure found over that of the covariance
     source: str,
 ) -> Identification:
@@ -652,7 +695,7 @@ def _with_parameters(
     dq/dG falls from 0.07 to 0.04 per kPa and dq/dlog G rises from 0.24 to 0.37). So each end of
     the interval of q follows from the line farther away.
     """
-    kind, q, surfaces = known.shapes_kind, float(values[0]), known.surfaces
+    kind, q = known.shapes_kind, float(values[0])
     slope = float(covariance[0, 1] / covariance[1, 1])  # of q over G, along that curve
     at_gauge = HALF_95 * float(np.sqrt(max(covariance[0, 0] - slope * covariance[0, 1], 0.0)))
     if q < 1.01 * SMALLEST_Q:
@@ -665,14 +708,12 @@ def _with_parameters(
     most = min(q + float(np.hypot(wider * at_gauge, by_gauge.max())), 1.0)
     value, low, high = (x ** (-1.0 / 6.0) for x in (q, most, least))
     sigmas = np.sqrt(np.diag(covariance))
-    # errors of the model may count more in the share, but it lies between 0 and 1
-    sigmas[2] = min(sigmas[2], SHARE_SIGMA)
     rubber = {
-        name: Quantity.normal(float(values[k]), float(sigmas[k]), source).possible(*limits)
-        for (name, limits), k in zip(RUBBER_PARAMETERS.items(), _RUBBER, strict=True)
+        name: Quantity.normal(float(values[k]), float(sigmas[k]), source).possible(
+            *RUBBER_PARAMETERS[name]
+        )
+        for name, k in zip(_NAMES, _RUBBER, strict=True)
     } | {"prestretch": Quantity(value, low, high, source)}
-    if surfaces.chosen == "sphere" or surfaces.flat_sheet is None:
-        del rubber["sheet_share"]
     return replace(known, rubber=rubber, why_not="")
 
 

@@ -160,6 +160,25 @@ class Prestress:
         polynomials = _polynomials(mesh, disc, STRESS_DEGREE)
         return cls(np.linalg.lstsq(weight * polynomials, weight * parts, rcond=None)[0].T)
 
+    def unequal(self, mesh: MembraneMesh, gauge_pressure_pa: float) -> list[Prestress]:
+        """Fields without load that may be added to this one of a surface under a gauge pressure.
+
+        The first pulls along x and pushes along y, the second is their shear, each by the mean
+        tension, and only the rim holds them: a sheet stretched unequally over its rim has them.
+        """
+        fields, tension = [], gauge_pressure_pa / mean_curvature(mesh)
+        for part in (1, 2):
+            near = Prestress(self.weights.copy())
+            near.weights[part, 0] += tension
+            balanced = Prestress.of(mesh, gauge_pressure_pa, near=near)
+            fields.append(Prestress(balanced.weights - self.weights))
+        return fields
+
+    def plus(self, fields: list[Prestress], amplitudes: list[float]) -> Prestress:
+        """The field with multiples of others of the same surface."""
+        added = [a * each.weights for a, each in zip(amplitudes, fields, strict=True)]
+        return Prestress(self.weights + sum(added))
+
     def times(self, factor: float) -> Prestress:
         """Field of the same surface under a pressure larger by a factor."""
         return Prestress(factor * self.weights)

@@ -18,11 +18,14 @@ from bubbleviz.sensor import LARGEST_GRADIENT, Sensor, changed
 RUBBER_PARAMETERS = {
     "prestretch": (1.0, np.inf),
     "sheet_share": (0.0, 1.0),
+    "unequal_tension_x": (-1.0, 1.0),
+    "unequal_tension_xy": (-1.0, 1.0),
     "stiffness_gradient_x": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
     "stiffness_gradient_y": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
     "stiffness_gradient_r": (-LARGEST_GRADIENT, LARGEST_GRADIENT),
 }
 """Limits of the parameters of the rubber in the sensor file."""
+_OF_STRESS = ("sheet_share", "unequal_tension_x", "unequal_tension_xy")
 _CONSTANT_TENSION_ERROR = 0.13
 """Relative standard deviation of the stiffness of constant tension, as a model of rubber of unknown
 λ. For the true force of a ball and a cylinder pressed 10 to 45 % of the height into a dome of 29 mm
@@ -86,12 +89,12 @@ def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
     """Stress of the reference surface under the gauge pressure; None for constant tension."""
     if sensor.membrane.prestretch is None:
         return None
-    gauge, share = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.sheet_share
-    film = Prestress.of(mesh, gauge)
-    sheet = as_flat_sheet(mesh) if share else None
-    if share is None or sheet is None:
-        return film
-    return film.towards(sheet[0].times(gauge), share)
+    gauge, membrane = sensor.pneumatics.gauge_pressure_pa, sensor.membrane
+    film = stress = Prestress.of(mesh, gauge)
+    if membrane.sheet_share and (sheet := as_flat_sheet(mesh)):
+        stress = film.towards(sheet[0].times(gauge), membrane.sheet_share)
+    unequal = [membrane.unequal_tension_x or 0.0, membrane.unequal_tension_xy or 0.0]
+    return stress.plus(film.unequal(mesh, gauge), unequal) if any(unequal) else stress
 
 
 def build_rubber(
@@ -140,7 +143,8 @@ def varied_rubber(
 
     Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
     also by its standard deviation in the sensor file. Parameters as of `build_rubber`.
-    Stress at rest follows from shape, gauge pressure and share, whatever the material. γ0 is
+    Stress at rest follows from shape, gauge pressure, share and unequal tension, whatever the
+    material. γ0 is
     proportional to the gauge pressure (Young–Laplace), so its own copy is raised only by the part
     of its σ that the gauge pressure does not explain.
     """
@@ -159,7 +163,7 @@ def varied_rubber(
         interval = getattr(sensor.calibration, f"{name}_interval", None)
         if sigma := _deviation(interval, value, *limits):
             other = changed(sensor, membrane={name: value + sigma})
-            own = None if name == "sheet_share" else stress  # which changes the stress
+            own = None if name in _OF_STRESS else stress
             varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, own))
     return varied
 

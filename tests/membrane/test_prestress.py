@@ -196,12 +196,41 @@ def test_share_of_the_sheet_gives_the_stress_that_an_oval_rim_leaves_open(oval_s
     assert error(0.0) == error(None)
 
 
-def test_error_of_the_share_varies_the_stress_alone(oval_sheet):
+@pytest.mark.parametrize("turn", [0.0, 0.5, 2.0])
+def test_a_sheet_stretched_unequally_over_a_round_rim(turn):
+    """By the tensions of flat neo-Hookean rubber, T₁ = μh (λ₁/λ₂ − (λ₁λ₂)⁻³), before inflation."""
+    cap = mesh_cap(spherical_cap(0.041, 0.005), 700)
+    flat = replace(cap, nodes=cap.nodes * [1.0, 1.0, 0.0])
+    most, least = 1.22, 1.10  # along a direction turned from x, and across it
+    along = np.array([np.cos(turn), np.sin(turn), 0.0])
+    free = flat.nodes / least + np.outer(flat.nodes @ along, along) * (1.0 / most - 1.0 / least)
+    rubber = RubberMembrane(flat, 0.0, inverse_metric(replace(flat, nodes=free)), 140.0)
+    rest = replace(flat, nodes=Inflation(rubber, np.zeros_like(flat.nodes)).at(1000.0, cap.nodes))
+    squeezed = (most * least) ** -3
+    high, low = most / least - squeezed, least / most - squeezed
+    part = (high - low) / (high + low)
+    sensor = changed(
+        load_sensor("pico_flexx_75mm"),
+        membrane={"prestretch": 1.2},
+        pneumatics={"gauge_pressure_pa": 1000.0},
+    )
+
+    def error(**unequal):
+        own = changed(sensor, membrane=unequal)
+        stress = build_rubber(own, rest, balance_tension(rest, 1000.0)).stress(rest.nodes)
+        return np.sqrt(np.mean((stress - rubber.stress(rest.nodes)) ** 2))
+
+    x, xy = part * np.cos(2.0 * turn), part * np.sin(2.0 * turn)
+    assert error(unequal_tension_x=x, unequal_tension_xy=xy) < 0.15 * error()
+
+
+@pytest.mark.parametrize("name", ["sheet_share", "unequal_tension_x", "unequal_tension_xy"])
+def test_error_of_the_stress_at_rest_varies_the_stress_alone(oval_sheet, name):
     _, rest, sensor, tension = oval_sheet
-    calibration = Calibration(pixels_file="none.npz", sheet_share_interval=(0.304, 0.696))
-    own = changed(sensor, membrane={"sheet_share": 0.5})
-    (varied,) = varied_rubber(own.model_copy(update={"calibration": calibration}), rest, tension)
-    expected = build_rubber(changed(sensor, membrane={"sheet_share": 0.6}), rest, tension)
+    calibration = Calibration(pixels_file="none.npz", **{f"{name}_interval": (0.304, 0.696)})
+    own = changed(sensor, membrane={name: 0.5}).model_copy(update={"calibration": calibration})
+    (varied,) = varied_rubber(own, rest, tension, stress=rest_stress(own, rest))
+    expected = build_rubber(changed(sensor, membrane={name: 0.6}), rest, tension)
     np.testing.assert_allclose(varied.stress(rest.nodes), expected.stress(rest.nodes), rtol=1e-6)
     np.testing.assert_allclose(varied.mu_h, expected.mu_h)
 
