@@ -15,6 +15,7 @@ from bubbleviz.camera import DepthCamera, PixelModel
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import RUBBER_PARAMETERS, MembraneMesh
 from bubbleviz.recordings import ContactFree, DepthStatistics, FrameSource, error_of_mean
+from bubbleviz.result import HALF_95
 from bubbleviz.sensor import (
     ATMOSPHERES,
     MIN_NOISE,
@@ -86,7 +87,8 @@ class Identification:
         solver's dome. As 22 % of that dome is hidden near the rim, γ0 of the extrapolated surface
         is 4 % higher.
         """
-        shape, other = self.tension_by_shape, self.surfaces.tension_m.value * self.gauge.half_width
+        shape, gauge = self.tension_by_shape, self.surfaces.tension_m.value * self.gauge.half_width
+        other = float(np.hypot(gauge, HALF_95 * self._tension_by_unequal))
         low, high = (float(np.hypot(end - shape.value, other)) for end in (shape.low, shape.high))
         ends = shape.value - low, shape.value + high
         hidden = 1.0 - self.surfaces.visible_share
@@ -102,7 +104,20 @@ class Identification:
     def tension_parts(self) -> dict[str, float]:
         """Standard deviation of γ0 by every source: those of the shape, `gauge_pressure`, N/m."""
         shape = {n: self.gauge.value * part for n, part in self.surfaces.tension_parts_m.items()}
-        return shape | {"gauge_pressure": self.surfaces.tension_m.value * self.gauge.sigma}
+        return shape | {
+            "statics": float(np.hypot(shape["statics"], self._tension_by_unequal)),
+            "gauge_pressure": self.surfaces.tension_m.value * self.gauge.sigma,
+        }
+
+    @property
+    def _tension_by_unequal(self) -> float:
+        """Standard deviation of the mean tension by unequal tension, N/m.
+
+        0 where λ is not known, which shows whether the membrane can have been a flat sheet.
+        """
+        known = self.rubber.keys() & self.surfaces.by_unequal_m
+        changes = [self.surfaces.by_unequal_m[name] * self.rubber[name].sigma for name in known]
+        return self.gauge.value * float(np.linalg.norm(changes))
 
     @property
     def tension_by_surface(self) -> dict[SurfaceName, float]:

@@ -174,6 +174,12 @@ class Prestress:
             fields.append(Prestress(balanced.weights - self.weights))
         return fields
 
+    def mean_tension(self, mesh: MembraneMesh) -> float:
+        """Mean of half the trace over a mesh of the surface, N/m."""
+        edges = edges_of(mesh)
+        tension = 0.5 * np.einsum("tij,tji->t", edges @ edges.swapaxes(1, 2), self.on(mesh))
+        return float(np.average(tension, weights=mesh.facet_areas))
+
     def plus(self, fields: list[Prestress], amplitudes: list[float]) -> Prestress:
         """The field with multiples of others of the same surface."""
         added = [a * each.weights for a, each in zip(amplitudes, fields, strict=True)]
