@@ -17,7 +17,7 @@ from bubbleviz.membrane import ObjectSurface, RubberMembrane, area_vectors
 from bubbleviz.pose.image_fit import ImageFit
 from bubbleviz.pose.motion import (
     SEARCH_DEVIATION,
-    START_INFORMATION,
+    SEARCH_INFORMATION,
     Motion,
     about,
     motion_between,
@@ -74,7 +74,7 @@ class Solver:
         """Fit to the depth image; built with the first pose."""
         own = self._estimator
         pressed = PressedMembrane(self._membrane, own.bubble.gas, self._registration.model)
-        return ImageFit(own.observer, pressed, self._registration.precision)
+        return ImageFit(own.observer, pressed)
 
     def reset(self) -> None:
         """Forget the previous pose."""
@@ -98,7 +98,7 @@ class Solver:
         by_image = self._image_fit(frame, contact, fit, predicted, tracking)
         if by_image is None:
             motion = predicted.corrected(fit.T_B_O, fit.surface)
-            persistent = np.linalg.inv(fit.surface + START_INFORMATION)
+            persistent = np.linalg.inv(fit.surface + SEARCH_INFORMATION)
         else:
             motion, persistent = by_image
             fit = self._registration.at(contact, fit, motion.T_B_O)

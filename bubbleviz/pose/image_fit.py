@@ -11,16 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
-from bubbleviz.membrane import area_vectors
-from bubbleviz.pose.motion import START_INFORMATION, about, motion_between, turning, way_at
+from bubbleviz.pose.motion import SEARCH_INFORMATION, about, motion_between, turning, way_at
 from bubbleviz.pose.pressed_membrane import ROUNDING_M, Press, PressedMembrane
-from bubbleviz.pose.registration import MODEL_ERROR_M, ContactPoints, Directions, Precision
+from bubbleviz.pose.registration import MODEL_ERROR_M, ContactPoints, Directions
 
 _AROUND_M = 8e-3  # around the patch pixels are compared; further away the membrane hardly moves
 _OUTLIER_SIGMAS = 4.0  # residual in standard deviations that reduces a pixel to a quarter
 _MODEL_DEVIATION_M = 5e-4
 """Model error of the membrane around the contact, due to stiffness and gas, expressed as motions of
-the object in the directions that the contact determines."""
+the object."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class PredictedImage:
     on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
     square: np.ndarray  # (b,) int, their square of the image, as wide as an edge of the mesh
-    area_m2: float  # of the membrane in these pixels
+    triangles: int  # of the membrane in these pixels
     press: Press
     by_loads_m: float = 0.0  # largest motion of a node by changes of friction and gas pressure
 
@@ -76,11 +75,9 @@ class ImageFit:
         self,
         observer: RangeObserver,
         pressed: PressedMembrane,  # of that object, on the observer's mesh
-        precision: Precision,  # of the membrane's position
         max_pixels: int = 6_000,  # beyond, as many groups of neighbours are averaged
     ) -> None:
         self._observer, self._pressed, self._max_pixels = observer, pressed, max_pixels
-        self._precision = precision
         camera = observer.camera
         self._directions = camera.directions[observer.pixel]
         mesh = pressed.mesh
@@ -143,20 +140,20 @@ class ImageFit:
         rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
-        # Model errors are the same from frame to frame: those eliminated above, as far as the image
-        # does not show them; and others that are independent between areas: of the membrane's
-        # position, of the size of the estimate's resolution; of the radius at which it leaves the
-        # object's edges, of the size of the mesh, which cannot follow them.
-        by_position = float(weight.sum()) / predicted.area_m2 / self._precision.of_model
+        # Model errors are the same from frame to frame: motions of the surrounding membrane, as far
+        # as the image does not show them, and all of them in directions that only it determines;
+        # its position, independent between triangles; the radius at which it leaves the object's
+        # edges, independent between squares as wide as one, as the mesh cannot follow it.
         pulling = J[:, :6] - J[:, 6:] @ gain.T
         pulls = pulling.T * weight
         each, square = pulls * predicted.rounding[valid], predicted.square[valid]
         by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in each])
-        pulled = by_position * pulls @ pulling + by_radius @ by_radius.T
+        by_motion = information @ directions.motions[:, ~directions.determined]
+        pulled = MODEL_ERROR_M**2 / predicted.triangles * weight.sum() * pulls @ pulling
+        pulled += by_radius @ by_radius.T + _MODEL_DEVIATION_M**2 * by_motion @ by_motion.T
         pulled += gain @ (gain / known_off**2).T
-        covariance = np.linalg.inv(information + START_INFORMATION)
-        persistent = covariance @ pulled @ covariance
-        return ImageStep(information, g, persistent)
+        covariance = np.linalg.inv(information + SEARCH_INFORMATION)
+        return ImageStep(information, g, covariance @ pulled @ covariance)
 
     def predicted(
         self,
@@ -204,7 +201,6 @@ class ImageFit:
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
         J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
-        vectors = area_vectors(nodes, mesh.triangles[np.unique(hits.triangle)])
         square = np.floor(self._places[pixel[:, 0], :2] / mesh.edge_length).astype(int)
         square -= square.min(axis=0, initial=0)
         return PredictedImage(
@@ -214,7 +210,7 @@ class ImageFit:
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
             square=np.ravel_multi_index(square.T, square.max(axis=0, initial=0) + 1),
-            area_m2=float(np.linalg.norm(vectors, axis=1).sum()),
+            triangles=len(np.unique(hits.triangle)),
             press=press,
         )
 

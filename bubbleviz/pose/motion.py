@@ -62,9 +62,11 @@ def way_at(radius_m: float, motion: np.ndarray) -> float:
 START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
 """Standard deviation of a given initial pose: off by up to 5 mm and 10°."""
 
-START_INFORMATION = np.diag(START_DEVIATION**-2.0)
-
 SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a searched one
+
+SEARCH_INFORMATION = np.diag(SEARCH_DEVIATION**-2.0)
+"""With that of a frame it bounds the errors that frames have in common. The initial pose does not:
+after some frames it no longer holds against them."""
 
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
 _ACCELERATION = np.array([0.27] * 3 + [5.5] * 3)

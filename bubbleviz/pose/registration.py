@@ -171,10 +171,11 @@ INLIER_M = 1.5e-3
 """A contact point this close to the object agrees with it: three σ of the estimate."""
 
 MODEL_ERROR_M = 2.4e-4
-"""Model error of the membrane's position, independent between areas of the size of the estimate's
-resolution, in addition to the error of facets. Of 0, 0.24, 0.28 and 0.4 mm the least for which
-ellipsoids contain at least 93 % of true poses in each class of 280 simulated tracks. The contact
-determines a direction if its σ at the patch's edge is below the error of one such area."""
+"""Model error of the membrane's position: of the estimate, independent between areas of the size of
+its resolution; of a press, between triangles of its mesh. Chosen when areas of the resolution stood
+for these triangles: of 0, 0.24, 0.28 and 0.4 mm the least for which ellipsoids contain at least
+93 % of true poses in each class of 280 simulated tracks. The contact determines a direction if its
+σ at the patch's edge is below the error of one area."""
 
 _PARALLEL = np.cos(np.radians(45.0))
 """Membrane that lies on a face is parallel to it, except for the blur of the estimate."""
@@ -203,14 +204,9 @@ class Precision:
     resolution_m: float  # correlation length of the estimate's errors
 
     @property
-    def of_model(self) -> float:
-        """1/σ² of the membrane's position along its normal per area, by model errors, 1/m⁴."""
-        return 1.0 / (self.resolution_m * MODEL_ERROR_M) ** 2
-
-    @property
     def per_area(self) -> float:
         """1/σ² of the membrane's position along its normal per area, by all errors, 1/m⁴."""
-        return 1.0 / (1.0 / self.information_per_m4 + 1.0 / self.of_model)
+        return 1.0 / (1.0 / self.information_per_m4 + (self.resolution_m * MODEL_ERROR_M) ** 2)
 
     @property
     def across_edge(self) -> float:

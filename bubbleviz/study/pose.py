@@ -227,7 +227,7 @@ class _Bench:
         contact = contact_points(self._pipeline.mesh, result.estimate, result.patch)
         own = self._pipeline.model
         pressed = PressedMembrane(own.rubber, own.gas, self._model)
-        fit = ImageFit(self._pipeline.estimator.observer, pressed, self._precision)
+        fit = ImageFit(self._pipeline.estimator.observer, pressed)
         image = None if contact is None else fit.predicted(true.T_B_O, contact)
         if image is None:
             return true
