@@ -1,6 +1,7 @@
 """Live sources in the window, by clicks and keys."""
 
 import threading
+import time
 
 import numpy as np
 from live_bench import SYNTHETIC, connected_bench, record_dents, sensor_file
@@ -101,6 +102,31 @@ def test_badge_of_each_kind_of_source(open_bench):
     bench.connect(single(SYNTHETIC, name))
     bench.wait(lambda: ">&nbsp;simulated&nbsp;<" in word.text() and " (simulated) " in title())
     assert bar.leave.isVisible() and bar.record.isVisible()
+
+
+def test_frame_shown_too_long_is_stale_although_images_arrive(open_bench, monkeypatch):
+    """A busy computer shows a frame again and again: its age and rate, not those of the images."""
+    live = connected_bench(open_bench)
+    bar, solver = live.window.live, live.window.controller.client.solver
+    newest, free = solver.newest, threading.Event()
+    free.set()
+    hindered = lambda *given, **more: (free.wait(), newest(*given, **more))[1]  # noqa: E731
+    monkeypatch.setattr(solver, "newest", hindered)
+    live.wait_for_frames(3)
+    live.wait(lambda: "Hz, shown " in bar.state.text())
+    free.clear()
+    live.wait(
+        lambda: ">&nbsp;stale&nbsp;<" in bar.state.text() and "shown 0.0 Hz" in bar.state.text()
+    )
+    shown_ns = live.result.frame.arrival_ns
+    images, _, age = bar.state.text().rpartition("&nbsp; ")[2].split(", ")
+    assert float(images.removesuffix(" Hz")) > 5.0
+    assert age.endswith("&nbsp;s&nbsp;old")
+    assert STALE_AFTER_S < float(age.partition("&")[0]) <= 0.05 + 1e-9 * (time.time_ns() - shown_ns)
+    assert not live.window.status.labels["force"].isEnabled()
+    free.set()
+    live.wait(lambda: ">&nbsp;simulated&nbsp;<" in bar.state.text())
+    assert live.window.status.labels["force"].isEnabled()
 
 
 def check_buttons(window, *bars):

@@ -132,7 +132,7 @@ class LiveBar(QFrame):
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters
         drawn = live.connection_state != "connecting"  # until then something else may be open
         badge = live.state.badge if drawn else "connecting"
-        self._show_badge(badge, status.silence or self._rate_text(counters.frames))
+        self._show_badge(badge, status.silence or self._rate_text(counters.frames, badge))
         self.publish.setChecked(live.publishing.on)
         # faults first: a narrow bar elides the rest
         texts = [
@@ -242,8 +242,8 @@ class LiveBar(QFrame):
         colours = f"background-color:{BADGES[badge]}; color:{theme.ON_BADGE}" if badge else ""
         self.state.setText(f'<b style="{colours}">&nbsp;{badge}&nbsp;</b>&nbsp; {text}')
 
-    def _rate_text(self, frames: int) -> str:
-        """Rate of received images; empty until known."""
+    def _rate_text(self, frames: int, badge: Badge) -> str:
+        """Rate of received images, and rate and age of those shown; empty until known."""
         now = time.monotonic()
         if self._rate_samples is None or frames < self._rate_samples[-1][1]:
             self._rate_samples = deque([(now, frames)], maxlen=RATE_SAMPLES)
@@ -251,7 +251,10 @@ class LiveBar(QFrame):
         then, before = self._rate_samples[0]
         if now - then < RATE_FROM_S:
             return ""
-        return self._units.rate.text((frames - before) / (now - then))
+        text = self._units.rate.text((frames - before) / (now - then))
+        if badge not in ("frozen", "ended"):
+            text += f", shown {self._units.rate.text(self._live.shown_hz)}"
+        return f"{text}, {self._live.shown_age_s:.1f}&nbsp;s&nbsp;old" if badge == "stale" else text
 
     _rate_samples: deque[tuple[float, int]] | None = None
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 from PySide6.QtCore import QObject, QTimer, Signal
 
-from bubbleviz.live import LiveSensor, SessionPreset, is_simulated
+from bubbleviz.live import STALE_AFTER_S, LiveSensor, SessionPreset, is_simulated
 from bubbleviz.recordings import gas_warning
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
@@ -70,10 +71,27 @@ class LiveController(QObject):
 
     @property
     def connection_state(self) -> ConnectionState:
-        """State of that sensor: `connecting` until its first frame has been drawn."""
+        """State of that sensor: `connecting` until its first frame has been drawn.
+
+        A frame shown so long that its source would be stale is stale, whatever has arrived since.
+        """
         if self.sensor is None:
             return "disconnected"
-        return self.sensor.stream.status().state if self._first_drawn else "connecting"
+        state = self.sensor.stream.status().state if self._first_drawn else "connecting"
+        return "stale" if state == "live" and self.shown_age_s > STALE_AFTER_S else state
+
+    @property
+    def shown_age_s(self) -> float:
+        """Time since the arrival of the frame shown, s; 0 while frozen."""
+        result = self._controller.result
+        if result is None or not self.state.advancing:
+            return 0.0
+        return 1e-9 * (time.time_ns() - result.frame.arrival_ns)
+
+    @property
+    def shown_hz(self) -> float:
+        """Number of frames shown in the last second."""
+        return self._controller.client.solve_rate.rate_hz(time.perf_counter())
 
     def connect_to(self, preset: SessionPreset) -> None:
         """Connect to a session; the current source stays open until frames arrive."""
