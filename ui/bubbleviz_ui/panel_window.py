@@ -460,8 +460,9 @@ class PanelWindow(QMainWindow):
         if result is not None and facts is not None:
             self.playback.show_frame()
             self.kappa.show_result(result)
-            final = self.state.final
-            self.status.show_result(result, facts, self.state.history, final=final)
+            history, final = self.state.history, self.state.final
+            sensor = self.pair.selected_name
+            self.status.show_result(result, facts, history, final=final, sensor=sensor)
 
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, SOURCE

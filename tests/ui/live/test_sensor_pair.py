@@ -11,7 +11,7 @@ from live_bench import IMAGE, messages_by_type, robot_sensor, sensor_file, senso
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 from vtkmodules.vtkRenderingCore import vtkAssembly
-from window_driver import colour_bar, vtk_props
+from window_driver import clipped_labels, colour_bar, view_texts, vtk_props
 
 from bubbleviz.recordings import RecordingWriter
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -275,6 +275,15 @@ def shown_pair(bench, frame):
     return bench.result.frame.index, other(bench)
 
 
+def force_texts(bench):
+    """The readout's headline, and the force in the status bar."""
+    return view_texts(bench)[0], bench.window.status.labels["force"].text()
+
+
+def named_sensors(bench):
+    return {text.partition(": ")[0] for text in force_texts(bench)}
+
+
 def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_bench, monkeypatch):
     bench = open_bench()
     first, second, file = two_recordings(bench.folder)
@@ -289,11 +298,14 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     own = np.asarray(bench.window.scene.layers["membrane"].actor.mapper.GetInput().points)
     assert drawn(bench)[0, 0] > own[:, 0].mean() and drawn(bench)[0, 1] > own[:, 0].max()
     # a click shows the other one in the panels, at its own frame
+    # readout and status bar say whose force it is
     bar = bench.window.live
     assert bar.isVisible() and [button.text() for button in bar.sensors] == ["● left", "● right"]
+    assert named_sensors(bench) == {"left"}
     bench.click(bar.sensors[1])
     bench.wait(lambda: bench.state.facts.title == "right.mcap")
     assert shown_pair(bench, 3) == (3, 5)
+    assert named_sensors(bench) == {"right"} and not clipped_labels(bench.window.status)
     # playback moves both
     bench.state.seek(0)
     bench.state.set_playing(True)
@@ -303,6 +315,8 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     bench.drop(first)
     bench.wait(lambda: bench.window.pair.second is None)
     assert not drawing(bench).GetVisibility() and not bar.isVisible()
+    bench.wait_until_shown()
+    assert not any("right" in text for text in force_texts(bench))
     # two recordings chosen in the open dialog
     chosen = [str(first), str(second)]
     monkeypatch.setattr(QFileDialog, "getOpenFileNames", lambda *_, **__: (chosen, ""))

@@ -108,6 +108,11 @@ class SensorPair(QObject):
         client = self._controller.client if number == self.selected else self.second
         return None if client is None else client.result
 
+    @property
+    def selected_name(self) -> str:
+        """Name of the sensor shown by the panels if there are two, else empty."""
+        return self.sensors[self.selected].name if self.sensors else ""
+
     def select(self, number: int) -> None:
         """Show a sensor in the panels."""
         other = self.second
@@ -267,7 +272,7 @@ class SensorPair(QObject):
             T = self._T_selected_other()
             others_m = opened.mesh.nodes @ T[:3, :3].T + T[:3, 3]
         colour = self.sensors[self.selected].colour
-        self._scene.place(self._T_W_B(self.selected), others_m, colour)
+        self._scene.place(self._T_W_B(self.selected), others_m, colour, self.selected_name)
 
     def _on_second_open(self, _: object) -> None:
         moved = self._scene.moved_by_user

@@ -69,12 +69,12 @@ HIDING_ORDER = (
 """Labels hidden in a narrow window, first to last; the panels show the same numbers."""
 
 
-def widest_texts(units: Units) -> dict[str, str]:
-    """The longest text to expect of each label."""
+def widest_texts(units: Units, of: str) -> dict[str, str]:
+    """The longest text to expect of each label; `of`: of which sensor the force is."""
     return {
         "sensor": "soft-bubble 75 mm (preset)",
         "frame": "frame 888 of 0–888 · 88.888 s",
-        "force": f"force ≈ {units.force.with_interval(88.88, 0.88)}",
+        "force": f"{of}force ≈ {units.force.with_interval(88.88, 0.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
         "gas": f"p_v {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
@@ -112,7 +112,7 @@ class StatusBar(QStatusBar):
 
     def fit_units(self) -> None:
         """Make each label as wide as its longest text in the current units."""
-        for name, text in widest_texts(self._units).items():
+        for name, text in widest_texts(self._units, self._of).items():
             label = self.labels[name]
             width = label.fontMetrics().horizontalAdvance(text) + 6
             if isinstance(label, Steady):
@@ -134,14 +134,27 @@ class StatusBar(QStatusBar):
         self.show_latency(None)
 
     def show_result(
-        self, result: Result, facts: SourceFacts, history: FrameHistory, *, final: bool
+        self,
+        result: Result,
+        facts: SourceFacts,
+        history: FrameHistory,
+        *,
+        final: bool,
+        sensor: str = "",
     ) -> None:
-        """Show the numbers of a result; `final`: whether they are final."""
+        """Show the numbers of a result; `final`: whether they are final.
+
+        `sensor`: Name of the sensor if there are two.
+        """
+        of = f"{sensor}: " if sensor else ""
+        if of != self._of:
+            self._of = of
+            self.fit_units()
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         texts = {
             "frame": facts.frame_text(frame.index, units, " · "),
-            "force": "force " + force_text(result, units, final=final),
+            "force": f"{of}force " + force_text(result, units, final=final),
             "area": "patch " + units.area.text(patch.area_m2 if patch else None),
             "gas": self._gas_text(frame.index, history),
             "residual": "residual "
@@ -209,6 +222,7 @@ class StatusBar(QStatusBar):
         return f"p_v {self._units.gas_pressure.text(change, signed=True)}"
 
     _solve_ms: float | None = None
+    _of = ""  # Of which of two sensors the force is
 
     def _label(self, name: str) -> QLabel:
         middle = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file

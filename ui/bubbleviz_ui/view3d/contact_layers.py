@@ -252,6 +252,7 @@ class ReadoutLayer(Layer):
         self._head, self._rest = _text_actor(canvas.view), _text_actor(canvas.view)
         self.actors += [self._head, self._rest]
         self._details, self._doubtful = "", False
+        self.sensor = ""  # Name of the sensor if there are two
         canvas.view.rendering.connect(self._fit)
 
     def draw(self, picture: Picture) -> None:
@@ -259,7 +260,7 @@ class ReadoutLayer(Layer):
         result, view = picture.result, self.canvas.view
         head, self._details = readout(result, self.canvas.units, final=picture.final)
         self._doubtful = result.estimate is not None and not result.estimate.trusted
-        self._head.SetInput(head)
+        self._head.SetInput(f"{self.sensor}: {head}" if self.sensor and head else head)
         set_colour(self._head, theme.UNTRUSTED if self._doubtful else theme.of(view).text)
 
     def set_outdated(self, outdated: bool) -> None:

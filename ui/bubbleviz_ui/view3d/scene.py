@@ -172,13 +172,16 @@ class Scene:
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def place(self, T_W_B: np.ndarray, others_m: np.ndarray, colour: str | None) -> None:
-        """Set the sensor's pose in the world, points of other objects, and the sensor's colour.
+    def place(
+        self, T_W_B: np.ndarray, others_m: np.ndarray, colour: str | None, name: str = ""
+    ) -> None:
+        """Set the sensor's pose in the world, points of other objects, and its colour and name.
 
         The initial view has the world's z up and contains `others_m` (k, 3) in B.
         """
         self._T_W_B, self._others_m = T_W_B, others_m
         self._drawn.layer(RimLayer).paint(colour)
+        self._drawn.layer(ReadoutLayer).sensor = name
         if self._mesh is not None and self._sensor is not None:
             self._bounds = _bounds(self._mesh, self._sensor, others_m)
 
