@@ -192,10 +192,14 @@ class Estimate:
     @property
     def force_half_width_n(self) -> float:
         """Half of the 95 % interval of |F|, N; NaN without contact, or for the paper's solver."""
-        force, covariance = self.force_n, self.wrench_covariance
-        if force is None or covariance is None or not np.linalg.norm(force) > 0.0:
+        return float("nan") if self.force_n is None else self.half_width_along(self.force_n)
+
+    def half_width_along(self, vector: np.ndarray) -> float:
+        """Half of the 95 % interval of the force along a vector (3,), N; NaN if that is 0."""
+        covariance = self.wrench_covariance
+        if covariance is None or not np.linalg.norm(vector) > 0.0:
             return float("nan")
-        direction = force / np.linalg.norm(force)
+        direction = vector / np.linalg.norm(vector)
         return HALF_95 * float(np.sqrt(direction @ covariance[:3, :3] @ direction))
 
     @property
@@ -361,6 +365,8 @@ class Pose:
         Signed distance of the contact points from the object, positive outside.
     others : (r, 4, 4) array
         Other poses of a search that fit as well, without those in which the object looks the same.
+    rejected : Stage or None
+        The best fit of a frame in which the object is lost.
     """
 
     status: PoseStatus
@@ -376,6 +382,7 @@ class Pose:
     places_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
     others: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    rejected: Stage | None = None
 
     def __repr__(self) -> str:
         if self.status != "ok":

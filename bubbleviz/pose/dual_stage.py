@@ -43,7 +43,7 @@ _VALID_M, _CONVERGED_M = 1e-3, 2e-4
 to which the first pose of an object has converged. At two thirds of the longest step the error of
 the derivatives is less than half."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
-_FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
+FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
 _AS_LIKELY = 2.0 * np.log(20.0)
 """Difference of χ² at which one of two poses is 20 times as likely as the other, which is then
 refuted."""
@@ -127,8 +127,8 @@ class Solver:
         starts: np.ndarray,
         finalists: int,
         known: Solution | None = None,  # kept unless another solution is more likely
-    ) -> Solution | None:
-        """Both stages from the best of initial poses (s, 4, 4); None if none fits.
+    ) -> Solution:
+        """Both stages from the best of initial poses (s, 4, 4), which may not fit.
 
         The pose lists the other poses that fit as well.
         """
@@ -152,18 +152,16 @@ class Solver:
             )
             for fit in coarse[:finalists]
         ]
-        good = [pair for pair in found if pair[1].fit.fitness >= _FOUND_FITNESS]
+        good = [pair for pair in found if pair[1].fit.fitness >= FOUND_FITNESS]
         if known is not None:
             good.append((known.fit.cost, known))
-        if not good:
-            return None
-        before, best = min(good, key=lambda pair: pair[1].fit.cost)
+        before, best = min(good or found, key=lambda pair: pair[1].fit.cost)
         rest = (one.fit for _, one in good if one is not best)
         likely = [fit for fit in rest if fit.cost < best.fit.cost + _AS_LIKELY]
         likely += [
             fit
             for fit in coarse[finalists:]
-            if fit.fitness >= _FOUND_FITNESS and fit.cost < before + _AS_LIKELY
+            if fit.fitness >= FOUND_FITNESS and fit.cost < before + _AS_LIKELY
         ]
         others = looking_different(
             self._registration.model, best.pose.T_B_O, [fit.T_B_O for fit in likely]

@@ -19,7 +19,14 @@ from scipy.special import chdtri
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, RubberMembrane
-from bubbleviz.pose.dual_stage import TURNS, InitialPoseFinder, Solution, Solver, looks_alike
+from bubbleviz.pose.dual_stage import (
+    FOUND_FITNESS,
+    TURNS,
+    InitialPoseFinder,
+    Solution,
+    Solver,
+    looks_alike,
+)
 from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
@@ -82,19 +89,21 @@ class PoseTracker:
         if contact is None:
             return self._without(frame, "few_points" if patch.area_m2 > 0.0 else "no_contact")
         predicted = self._predicted(frame, contact)
-        solution = None
+        solution = rejected = None
         if predicted is not None:
             tracking = self._tried == 0 and self._motion is not None
             solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
             if not self._plausible(solution, frame, contact):
-                solution = None
+                solution, rejected = None, solution
             elif len(self._waiting) or len(self._rivals):
                 starts = self._next_starts(contact)
                 solution = self._solver.best(frame, contact, starts, 1, known=solution)
         if solution is None and (self._motion is not None or self._start is None):
             solution = self._searched(frame, contact)
+            if solution.fit.fitness < FOUND_FITNESS:
+                solution, rejected = None, solution
         if solution is None:
-            return self._without(frame, "lost")
+            return replace(self._without(frame, "lost"), rejected=rejected and rejected.fit)
         return self._accepted(frame, contact, solution)
 
     def _predicted(self, frame: Frame, contact: ContactPoints) -> Motion | None:
@@ -119,7 +128,7 @@ class PoseTracker:
         slack = 3.0 * START_DEVIATION[[0, 3]]
         return bool(np.all(way < _FASTEST * abs(frame.time_s - self._good_s) + slack))
 
-    def _searched(self, frame: Frame, contact: ContactPoints) -> Solution | None:
+    def _searched(self, frame: Frame, contact: ContactPoints) -> Solution:
         """The best of a few initial poses; the next frame tries others."""
         if self._motion is not None and self._tried <= 1:
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
@@ -154,7 +163,7 @@ class PoseTracker:
                 self._rivals = np.concatenate([self._rivals, other[None]])
         squares = contact.areas_m2.sum() / self._resolution_m**2  # with independent errors
         if len(self._waiting) and solution.fit.cost > chdtri(squares, _UNLIKELY):
-            return Pose("lost", self._good)
+            return Pose("lost", self._good, rejected=solution.fit)
         self._good = solution.pose.T_B_O
         return replace(solution.pose, others=self._rivals.copy())
 

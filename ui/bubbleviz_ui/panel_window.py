@@ -33,7 +33,14 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.second_membrane import SecondMembrane
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.demand import StageTimes
-from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKind, UserMessage
+from bubbleviz_ui.model.messages import (
+    CALIBRATION,
+    OBJECT,
+    OPENING,
+    SOURCE,
+    MessageKind,
+    UserMessage,
+)
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -355,6 +362,7 @@ class PanelWindow(QMainWindow):
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
+        self.pose.session.changed.connect(self._on_pose)
         self.messages.added.connect(self._show_message)
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
@@ -464,8 +472,12 @@ class PanelWindow(QMainWindow):
             sensor = self.pair.selected_name
             self.status.show_result(result, facts, history, final=final, sensor=sensor)
 
+    def _on_pose(self) -> None:
+        if not self.pose.session.problem:
+            self.message.drop_topic(OBJECT)
+
     def _on_failed(self, failed: Failed) -> None:
-        message, topic = failed.message, SOURCE
+        message, topic = failed.message, OBJECT if failed.key == OBJECT else SOURCE
         if failed.key == "open":
             facts = self.state.facts
             stays = "" if facts is None or facts.is_empty else " The current source stays open."

@@ -51,12 +51,14 @@ def pose_texts(session: PoseSession, units: Units) -> dict[str, str]:
     elif session.obj is None:
         texts["state"] = session.problem or "choose an object"
     elif pose is None:
-        texts["state"] = "not fitted yet"
+        texts["state"] = "not fitted"
     else:
         elsewhere = "" if session.here else f"; of frame {session.pose_frame}"
         texts["state"] = status_text(pose, session.touched) + elsewhere
     if has_pose(pose):
         texts["place"], texts["turn"] = _place(pose.T_B_O, units), _turn(pose.T_B_O)
+    if pose is not None and pose.rejected is not None:
+        texts["fit"] = f"rejected: {_stage(pose.rejected, units)}"
     if pose is None or pose.stage_one is None or pose.stage_two is None:
         return texts
     texts["fit"], texts["first"] = _stage(pose.stage_two, units), _stage(pose.stage_one, units)
