@@ -171,11 +171,19 @@ def test_current_setting_measures_what_the_window_shows_with_its_friction(drive)
         assert part.removesuffix(" (friction was not estimated)") == shown
         return shown
 
-    friction = np.linalg.norm(driver.result.estimate.friction_n.sum(axis=0))
-    assert friction > 0.05 and shown_friction() == f"{friction:.2f} N"
-    driver.wait(lambda: text(driver, "friction") == f"{friction:.2f} N")
+    estimate = driver.result.estimate
+    part_n = estimate.friction_n.sum(axis=0)
+    friction, own = np.linalg.norm(part_n), part_n / np.linalg.norm(part_n)
+    half_width = 1.96 * np.sqrt(own @ estimate.wrench_covariance[:3, :3] @ own)
+    assert friction > 0.05
+    shown, _, half = shown_friction().removesuffix(" N").partition(" ± ")
+    assert float(shown) == pytest.approx(friction, abs=0.006)
+    assert float(half) == pytest.approx(half_width, abs=0.006)
+    driver.wait(lambda: text(driver, "friction") == f"{shown} ± {half} N")
     driver.choose(force_unit="mN")
-    assert shown_friction() == f"{1e3 * friction:.0f} mN" == text(driver, "friction")
+    assert shown_friction() == text(driver, "friction")
+    values = [float(each) for each in shown_friction().removesuffix(" mN").split(" ± ")]
+    assert values == pytest.approx([1e3 * friction, 1e3 * half_width], abs=6.0)
     driver.choose(force_unit="N")
     assert text(driver, "friction", of_b=True) == "–"  # none in the linear model
 
@@ -193,7 +201,7 @@ def test_current_setting_measures_what_the_window_shows_with_its_friction(drive)
     driver.wait(lambda: driver.solver.current is not None)  # None while it is built
     driver.wait(lambda: driver.pipeline.options.friction == EstimatorOptions().friction)
     driver.wait_until_shown()
-    driver.wait(lambda: shown_friction() == f"{friction:.2f} N")
+    driver.wait(lambda: shown_friction() == f"{shown} ± {half} N")
     driver.seek(0)
     assert window.status.labels["force"].toolTip().endswith("by friction: 0.00 N")
 

@@ -153,11 +153,15 @@ def force_text(result: Result, units: Units, *, final: bool = True) -> str:
 
 
 def friction_text(result: Result, units: Units) -> str:
-    """Part of the force by friction; a dash if no friction was estimated."""
-    patch = result.trusted_patch
-    if patch is None:
+    """Part of the force by friction ± half of the 95 % interval of the force along it.
+
+    A dash if no friction was estimated.
+    """
+    estimate, patch = result.trusted_estimate, result.trusted_patch
+    if estimate is None or patch is None:
         return units.force.text(None)
     friction = float(np.linalg.norm(patch.tangential_force_n))
-    # an estimated amplitude is never exactly 0
-    estimated = friction > 0.0 or not patch.force_n.any()
-    return units.force.text(friction if estimated else None)
+    if friction > 0.0:  # an estimated amplitude is never exactly 0
+        half_width_n = estimate.half_width_along(patch.tangential_force_n)
+        return units.force.with_interval(friction, half_width_n)
+    return units.force.text(None if patch.force_n.any() else 0.0)
