@@ -408,8 +408,7 @@ class Pipeline:
         from bubbleviz.shear import traction_of  # only needed here
 
         bubble, friction = self._exact_bubble, self.options.friction
-        found = traction_of(bubble, _required(result.estimate), result.flow, friction)
-        return replace(result, traction=found)
+        return replace(result, traction=traction_of(bubble, result, friction))
 
     def _slip_stage(self, result: Result, options: FrameOptions) -> Result:
         frame, (before, after) = result.frame, self._slip_starts

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.camera import FlowField
 from bubbleviz.inverse import RubberBubble
-from bubbleviz.result import Estimate, Traction, TractionStatus
+from bubbleviz.result import Result, Traction, TractionStatus
 
-NO_FLOW = "the frame has no colour image, or there are no contact-free ones yet"
+NO_REFERENCE = "no contact-free reference images"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
 CONTRADICTS = (
     "the colour image contradicts the depth image, as one of another moment does; see "
@@ -17,11 +16,10 @@ CONTRADICTS = (
 NO_FRICTION = "the expected coefficient of friction is 0"
 
 
-def traction_of(
-    bubble: RubberBubble, estimate: Estimate, flow: FlowField | None, friction: float
-) -> Traction:
-    """Traction of an estimate that used this optical flow, if any, with this expected friction."""
-    status, reason = _status(estimate, flow, friction)
+def traction_of(bubble: RubberBubble, result: Result, friction: float) -> Traction:
+    """Traction of a result, whose estimate used its optical flow, with this expected friction."""
+    status, reason = _status(result, friction)
+    estimate, _ = result.solution
     x = bubble.mesh.deformed(estimate.motion_m)
     vectors, moved = bubble.area_vectors(x), x - bubble.mesh.nodes
     areas = np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -33,9 +31,8 @@ def traction_of(
     return Traction(status, (force - slide) / areas, slide / areas, along, reason)
 
 
-def _status(
-    estimate: Estimate, flow: FlowField | None, friction: float
-) -> tuple[TractionStatus, str]:
+def _status(result: Result, friction: float) -> tuple[TractionStatus, str]:
+    (estimate, _), frame, flow = result.solution, result.frame, result.flow
     if estimate.status == "no_contact":
         return "no_contact", ""
     if not estimate.trusted:
@@ -46,4 +43,6 @@ def _status(
         return "depth_alone", NO_FRICTION
     if estimate.flow_contradicts:
         return "depth_alone", CONTRADICTS
-    return "depth_alone", NO_FLOW if flow is None else flow.problem or NO_TEXTURE
+    if flow is None:
+        return "depth_alone", frame.no_colour if frame.find_colour is None else NO_REFERENCE
+    return "depth_alone", flow.problem or NO_TEXTURE

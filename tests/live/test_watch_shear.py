@@ -10,7 +10,7 @@ from bubbleviz.api.watching import Watcher
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage
 from bubbleviz.diagnostics import shear_line
 from bubbleviz.live import LiveSource, LiveStream, OfferedTopic
-from bubbleviz.recordings import LAG, Frame, FrameMessages
+from bubbleviz.recordings import LAG, NO_COLOUR, Frame, FrameMessages
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.shear import COLLECTED
 from tests.program import facts_of, refusal
@@ -87,7 +87,7 @@ def test_without_colour_depth_alone_is_reported():
             == "Depth alone: no colour images of this sensor in a known encoding"
         )
     assert statuses == ["no_contact", "depth_alone", "depth_alone"]
-    assert shear_line(result).startswith("depth alone: the frame has no colour")
+    assert shear_line(result).startswith(f"depth alone: {NO_COLOUR}")
 
 
 def test_shear_without_the_exact_membrane_is_refused(sensor, press):

@@ -7,10 +7,11 @@ import pytest
 
 from benchmarks.shear import along_error_m
 from bubbleviz.api.estimator import FrameSolver
+from bubbleviz.camera import ColourImage
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.recordings import Recording
+from bubbleviz.recordings import NO_COLOUR, Recording
 from bubbleviz.sensor import load_sensor
 from bubbleviz.shear import watch_recorded_texture
 from bubbleviz.simulation import DepthNoise
@@ -118,9 +119,12 @@ def test_a_contact_without_texture_is_solved_by_depth_only():
     bare = eyes.pipeline.process(frame, wanted)
     eyes.pipeline.use_optical_flow(None)
     blind = eyes.pipeline.process(frame, wanted)
+    seen = replace(frame, find_colour=lambda _: ColourImage(lambda: None, time_s=0.0))
+    unlearned = eyes.pipeline.process(seen, wanted)
     for result, reason in (
         (bare, "no flow on most of the contact"),
-        (blind, "the frame has no colour"),
+        (blind, NO_COLOUR),
+        (unlearned, "no contact-free reference images"),
     ):
         assert result.traction.status == "depth_alone"
         assert reason in result.traction.reason

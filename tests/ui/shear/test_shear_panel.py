@@ -9,7 +9,7 @@ from PySide6.QtCore import Qt
 from window_driver import clipboard_text, text_actors, view_texts
 
 from bubbleviz.diagnostics import ShearNumbers
-from bubbleviz.recordings import LAG
+from bubbleviz.recordings import LAG, NO_COLOUR
 from bubbleviz.result import FlowFit, Slip, Traction
 from bubbleviz.shear import COLLECTED
 from bubbleviz_ui.engine.shear_reference import NEEDS_RUBBER
@@ -138,10 +138,13 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     driver.pass_by(range(COLLECTED + 1))
     said = "Depth alone: colour camera: no intrinsics for colour images"
     driver.wait(lambda: panel.reference.text().startswith(said))
-    assert driver.result.flow is None
+    assert driver.result.flow is None and panel.reference.isVisible()
     record(tmp_path / "dent.mcap", list(DentSource(rubber))[:6])
     driver.open("dent", Source.of_recording(tmp_path / "dent.mcap"), rubber, playing=False)
     driver.wait(lambda: panel.reference.text().startswith("Depth alone: no colour images"))
+    driver.seek(4)  # in contact; one reason is shown once
+    driver.wait(lambda: panel.state.text().startswith(f"depth alone: {NO_COLOUR}; "))
+    assert not panel.reference.isVisible()
     # the texture's reason fits into a narrow view
     window = driver.window
     driver.state.change(layers=frozenset({"membrane", "texture"}))

@@ -181,6 +181,8 @@ class ShearPanel(QWidget):
         searching = DASH if result is None or result.estimate is None else SEARCHING
         self.reference.setText(self._controller.inspection.reference or searching)
         self.state.setText(words["state"])
+        said = result is not None and result.traction is not None and result.traction.reason
+        self.reference.setVisible(not said or not self.reference.text().endswith(said))
         for name, label in self.values.items():
             label.setText(words[name])
         known = result is not None and result.traction is not None
