@@ -223,6 +223,9 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
     own = found.tension
     assert cells["γ0"][1] == f"{own.value:.1f} ± {own.half_width:.1f} N/m"
     assert float(cells["γ0"][0].removesuffix(" N/m")) == pytest.approx(TENSION, rel=0.02)
+    # an interval is in the table only
+    assert " ± " in cells["γ0"][1] and "γ0 (" in report.advice.text()
+    assert "γ0: " not in report.advice.text()
     assert cells["height"][0] == "50.00 mm"
     assert cells["pixels used"] == ("–", f"{found.pixels.mask.sum()} pixels")
     assert cells["λ"] == ("–", "–")  # constant tension

@@ -54,7 +54,7 @@ class ReportPage(Page):
         lines: list[str] = []
         if found.complete:
             pressure = self.units.gas_pressure.text
-            lines = [*advice(found, pressure), *map(sentence, parameters(found, pressure))]
+            lines = [*advice(found, pressure), *map(_remark, parameters(found, pressure))]
         self.advice.setText("\n".join(f"• {line}" for line in lines))
         old = answer.compared_with
         self.compared.setText(f"Before: {old.name}" if old is not None else "")
@@ -94,6 +94,13 @@ class ReportPage(Page):
         self.table.setToolTip("±: half of the 95 % interval, where it is known")
         self.table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         fill(self.column, self.compared, self.table, self.view, self.advice, 1)
+
+
+def _remark(row: dict[str, str]) -> str:
+    """A row of `parameters` as a sentence; a value with its interval is in the table."""
+    if row["value"][0].isdigit():
+        return "{name} ({source}). To improve it: {improvement}.".format(**row)
+    return sentence(row)
 
 
 # Step 6: validation by pressing a known object at a known pose.
