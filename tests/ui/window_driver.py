@@ -346,11 +346,12 @@ def hover(widget, place, held=Qt.MouseButton.NoButton):
     QApplication.sendEvent(widget, event)
 
 
-def turn_wheel(widget, notches, place=None):
+def turn_wheel(widget, notches, place=None, held=PLAIN):
     """Turn the mouse wheel over a position in a widget, its middle by default."""
     window = widget.window()
     place = QPointF(widget.mapTo(window, place or widget.rect().center()))
-    QTest.wheelEvent(window.windowHandle(), place, QPoint(0, notches * 120))
+    turn = QPoint(0, notches * 120)
+    QTest.wheelEvent(window.windowHandle(), place, turn, stateKey=held)
     QApplication.processEvents()
 
 

@@ -4,7 +4,7 @@ from fakes import DentSource, record
 from PySide6.QtCore import QSettings, Qt
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QApplication, QFileDialog
-from window_driver import answer_file_dialog
+from window_driver import CTRL, SHIFT, answer_file_dialog
 
 from bubbleviz.files import SESSION_SUFFIX
 from bubbleviz_ui.model.settings import Settings
@@ -20,7 +20,8 @@ def test_dialogs_ask_before_replacing_add_suffixes_remember_folders_and_leave_sp
     save = actions["File › Save session as"].trigger
     assert answer_file_dialog(driver, save, str(tmp_path / "look")) == ["dialog", "question"]
     assert precious.read_text() == "precious"
-    assert answer_file_dialog(driver, save, str(tmp_path / "other")) == ["dialog"]
+    by_keys = lambda: driver.key(Qt.Key.Key_S, CTRL | SHIFT)  # noqa: E731
+    assert answer_file_dialog(driver, by_keys, str(tmp_path / "other")) == ["dialog"]
     assert (tmp_path / f"other{SESSION_SUFFIX}").is_file()
     for name in ("shot", "shot.v2"):
         before = set(tmp_path.iterdir())

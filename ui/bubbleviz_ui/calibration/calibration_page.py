@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QPointF, Qt
-from PySide6.QtGui import QColor
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt
+from PySide6.QtGui import QColor, QWheelEvent
 from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.calibration import Step
@@ -18,7 +18,6 @@ from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.images_panel import ImageCell
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.binding import ControlInput
 from bubbleviz_ui.shell.dock import fill
 
 
@@ -95,7 +94,7 @@ HEIGHT, BAR = 290, 10
 
 
 class ImageView(QWidget):
-    """Shows one image; after a click the mouse wheel zooms, dragging pans."""
+    """Shows one image; the wheel with Ctrl zooms, alone it scrolls the page; dragging pans."""
 
     def __init__(self, colouring: Colouring = "range") -> None:
         super().__init__()
@@ -155,9 +154,16 @@ class ImageView(QWidget):
         self._bar.setImageItem(self._cell.picture)
         self._host.arrange([self._cell.item, self._bar])
         self._host.canvas.setFixedHeight(HEIGHT)
-        self._host.canvas.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
-        self._host.canvas.viewport().installEventFilter(ControlInput(self))
+        self._host.canvas.viewport().installEventFilter(self)
         return [self]
+
+    def eventFilter(self, _: QObject, event: QEvent) -> bool:
+        """Leave the wheel without Ctrl to the page."""
+        if not isinstance(event, QWheelEvent):
+            return False
+        zooms = bool(event.modifiers() & Qt.KeyboardModifier.ControlModifier)
+        event.setAccepted(zooms)
+        return not zooms
 
     def _on_mouse(self, place: QPointF | None) -> None:
         text = ""

@@ -33,7 +33,7 @@ class CollectBox(QGroupBox):
     """Collects the frames of a live source that are shown."""
 
     def __init__(self, calibration: Calibration) -> None:
-        super().__init__("Live source")
+        super().__init__("Collect frames")
         self._calibration, self._controller = calibration, calibration.controller
         self.frames: list[Frame] = []
         self.active = False
@@ -44,7 +44,7 @@ class CollectBox(QGroupBox):
         self.count.setToolTip("Number of frames to collect")
         self.button = push_button(
             "",
-            "Collect frames of the live source; they replace those collected before",
+            "Collect the frames that are shown; they replace those collected before",
             self._start,
         )
         self.stop = push_button(

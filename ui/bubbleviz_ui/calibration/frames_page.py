@@ -20,7 +20,7 @@ from bubbleviz_ui.shell.dock import fill, push_button
 
 
 HEIGHT = 120
-COLOURS = theme.BLUE, theme.FARTHER  # Of depth, and of gas pressure
+COLOURS = theme.BLUE, theme.ORANGE  # Of depth, and of gas pressure
 LOWEST, LEAST_TOP, MOST = 0.1, 200.0, 1e4
 """Lower end of the logarithmic axis, smallest and largest upper end, standard deviations."""
 
@@ -134,7 +134,7 @@ class FramesPage(Page):
             widget.setEnabled(answer.frames > 0)
         self.collect.setVisible(live)
         if not answer.frames:
-            self.message.setText("Collect frames of the live source." if live else "")
+            self.message.setText("Collect frames below." if live else "")
             return
         found = answer.found.contact_free
         words = ", ".join(f"{a}–{b - 1}" if b - a > 1 else f"{a}" for a, b in ranges) or "none"

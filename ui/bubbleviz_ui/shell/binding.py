@@ -239,7 +239,7 @@ SLIDER_KEYS = frozenset({Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Home, Qt.
 
 
 class ControlInput(QObject):
-    """Event filter of controls and pictures: without focus they ignore the wheel.
+    """Event filter of controls: without focus they ignore the wheel.
 
     With it, a control gets its keys before shortcuts.
     """

@@ -43,10 +43,10 @@ def pressure_colours(name: str) -> np.ndarray:
 
 
 def residual_colours(middle: str) -> np.ndarray:
-    """Entries (256, 4) uint8: blue where measured nearer than modelled, green where farther.
+    """Entries (256, 4) uint8: blue where measured nearer than modelled, pink where farther.
 
-    `middle` is the colour of zero. Neither end is in the pressure map, so that the two cannot be
-    confused.
+    `middle` is the colour of zero. Neither end is in the pressure map, or the green of a good
+    result, so that they cannot be confused.
     """
     ends = (theme.NEARER, middle, theme.FARTHER)
     nearer, between, farther = (np.array([*rgb(colour), 255], float) for colour in ends)
