@@ -272,7 +272,7 @@ class Menus(QObject):
     def _live(self, menu: QMenu) -> None:
         window, live = self._window, self._window.live_controller
         self._add(menu, "&Connect…", self.show_connect, "Ctrl+L")
-        self._add(menu, "&Disconnect", live.disconnect_all, "Ctrl+Shift+L")
+        self._add(menu, "&Disconnect", live.leave, "Ctrl+Shift+L")
         menu.addSeparator()
         CheckMark(
             self._switch(menu, "&Record", "Ctrl+R"),

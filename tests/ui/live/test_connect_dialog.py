@@ -52,6 +52,7 @@ def test_dialog_reports_a_rejected_certificate_lists_topics_and_connects_two_sen
                 dialog.place.setEditText(f"{place}?ca={file}")
                 bench.wait(lambda says=says, text=text: says() == text)
             assert dialog.source.text() == source
+            assert not dialog.source.hasFrame()  # it cannot be edited
             dialog.buttons.button(QDialogButtonBox.StandardButton.Ok).click()
             bench.wait(lambda: why in bench.window.live.state.text())
             bench.window.live.leave.click()

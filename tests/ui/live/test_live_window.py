@@ -67,12 +67,19 @@ def test_badge_of_each_kind_of_source(open_bench):
     assert any(">&nbsp;connecting&nbsp;<" in text for text in before)
     assert not any(f";{word}&" in text for text in before for word in ("live", "simulated"))
     assert " (simulated) " in bench.window.windowTitle()
-    # the wait for a simulation is explained as such
-    bench.click(bar.leave)
-    bench.live_controller.connect_to(
-        single("synthetic:?frames=600&rate=1000", sensor_file(bench.folder))
+    # the wait for a simulation is explained as such, also while another source stays open
+    text, long = (
+        bar.state.text,
+        single("synthetic:?frames=600&rate=1000", sensor_file(bench.folder)),
     )
-    text = bench.window.live.state.text
+    bench.live_controller.connect_to(long)
+    bench.wait(lambda: "simulating the first images, " in text() and " of 600" in text())
+    assert "connecting" in text() and bar.leave.text() == "Cancel"
+    bench.click(bar.leave)
+    bench.wait(lambda: ">&nbsp;simulated&nbsp;<" in text() and bar.leave.text() == "Disconnect")
+    bench.wait_for_frames(2)
+    bench.click(bar.leave)
+    bench.live_controller.connect_to(long)
     bench.wait(lambda: "simulating the first images, " in text() and " of 600" in text())
     before = text()
     bench.wait(lambda: " of 600" in text() and text() != before)

@@ -7,6 +7,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from PySide6.QtCore import Qt, QTimer
+from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import (
     QComboBox,
     QDialog,
@@ -120,6 +121,11 @@ class ConnectDialog(QDialog):
         self.second.setToolTip("Second sensor with the same sensor file, drawn beside the first")
         self.source = QLineEdit()
         self.source.setReadOnly(True)
+        self.source.setFrame(False)  # to be copied, not edited
+        self.source.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
+        colours = self.source.palette()
+        colours.setColor(QPalette.ColorRole.Base, colours.color(QPalette.ColorRole.Window))
+        self.source.setPalette(colours)
         self.source.setToolTip(
             "Equivalent argument of bubbleviz open --source (two sensors: --session)"
         )

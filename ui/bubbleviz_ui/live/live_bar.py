@@ -97,7 +97,7 @@ class LiveBar(QFrame):
         self.leave = tool_button(
             "Disconnect",
             "Disconnect, or stop connecting (Ctrl+Shift+L)",
-            live.disconnect_all,
+            live.leave,
         )
         self.counts = Elided(Qt.TextElideMode.ElideRight)
         theme.dim(self.counts)
@@ -113,7 +113,7 @@ class LiveBar(QFrame):
         for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
-        self.leave.setText("Disconnect" if run is not None else "Cancel")
+        self.leave.setText("Cancel" if waits else "Disconnect")
         self._make_sensors()
         self._rate_samples = None
         self.update_status()
@@ -122,17 +122,18 @@ class LiveBar(QFrame):
         """Update badge, rate and counters."""
         live = self._live
         self._show_untrusted()
+        if live.connection is not None:  # perhaps to another source
+            self._show_badge("connecting", live.connection.text())
+        elif live.sensor is None:
+            self._show_badge(live.state.badge)
         if live.sensor is None:
-            if live.connection is not None:
-                self._show_badge("connecting", live.connection.text())
-            else:
-                self._show_badge(live.state.badge)
             return
         progress = self._show_recording()
         status, counters = live.sensor.stream.status(), live.sensor.stream.counters
-        drawn = live.connection_state != "connecting"  # until then something else may be open
-        badge = live.state.badge if drawn else "connecting"
-        self._show_badge(badge, status.silence or self._rate_text(counters.frames, badge))
+        if live.connection is None:
+            drawn = live.connection_state != "connecting"  # until then something else may be open
+            badge = live.state.badge if drawn else "connecting"
+            self._show_badge(badge, status.silence or self._rate_text(counters.frames, badge))
         self.publish.setChecked(live.publishing.on)
         # faults first: a narrow bar elides the rest
         texts = [

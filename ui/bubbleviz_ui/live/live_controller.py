@@ -110,6 +110,13 @@ class LiveController(QObject):
             connection.cancel()
             self.changed.emit()
 
+    def leave(self) -> None:
+        """Stop connecting to another source, else disconnect."""
+        if self.connection is not None and self.run is not None:
+            self.cancel()
+        else:
+            self.disconnect_all()
+
     def disconnect_all(self) -> None:
         """Disconnect from the sources; the frames kept in memory stay visible."""
         self.cancel()
