@@ -8,7 +8,7 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
-from PySide6.QtCore import QEvent, Qt, QTimer
+from PySide6.QtCore import QByteArray, QEvent, Qt, QTimer
 from PySide6.QtGui import (
     QCloseEvent,
     QDragEnterEvent,
@@ -264,11 +264,15 @@ class PanelWindow(QMainWindow):
             spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
             self.tabs.part(side, spare)
 
-    def forget_sizes(self) -> None:
-        """Keep the sizes of docks in the next layout, which is that of a session."""
-        self._side_width = None
-        for dock in self._docks.values():
+    def restore_layout(self, layout: QByteArray) -> None:
+        """Restore the layout of a session by `saveState`, and keep its sizes of docks."""
+        self._side_width, docks = None, self._docks.values()
+        for dock in docks:
             dock.forget_height()
+            dock.restoring = True
+        self.restoreState(layout)
+        for dock in docks:
+            dock.restoring = False
 
     def _fit_width(self, *, dragged: bool = False) -> None:
         """Keep the width of the panels at the right, or take it back after one that needed more.

@@ -208,8 +208,7 @@ class SessionSaver(QObject):
             if saved.geometry:
                 window.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
-                window.forget_sizes()
-                window.restoreState(_bytes(saved.layout))
+                window.restore_layout(_bytes(saved.layout))
                 named = Qt.DockWidgetArea.__members__
                 window.tabs.made = {named[name] for name in saved.tabbed_sides if name in named}
             window.status.setVisible("status" in settings.panels)

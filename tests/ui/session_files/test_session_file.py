@@ -18,6 +18,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.session_files.session_file import (
     SavedSession,
@@ -55,6 +56,31 @@ def check(driver):
     assert driver.window.view.camera.position == pytest.approx((0.3, 0.2, 0.1))
     assert driver.shows_chosen_kappa()
     assert driver.window.controller.sensor.name == "small dome"
+
+
+def test_layout_with_tabs_is_restored_into_a_window_that_was_not_shown(
+    drive, new_window, files, open_press, qtlog
+):
+    """As at the start of the program; a change of docks meanwhile has crashed Qt."""
+    driver = drive()
+    open_press(driver, frame=7)
+    driver.resize_to_smallest()
+    driver.window.use_scene(load_scene("review"))
+    for name in ("images", "calibration", "tools"):  # each is laid out before the next one
+        driver.show(name)
+        driver.wait_until_shown()
+    driver.window.session_saver.save_as(files / "look.bubbleviz")
+    window = new_window()
+    window.session_saver.apply_settings(read_session(files / "look.bubbleviz"))
+    assert not [record.message for record in qtlog.records if "resizeDocks" in record.message]
+    window.show()
+    assert window.open_panels.names == driver.window.open_panels.names
+    tabs = lambda shown: {each.windowTitle() for each in shown}  # noqa: E731
+    for name in ("plots", "kappa"):
+        ours, theirs = (each.panels[name] for each in (driver.window, window))
+        assert tabs(window.tabifiedDockWidgets(theirs)) == tabs(
+            driver.window.tabifiedDockWidgets(ours)
+        )
 
 
 def test_session_file_restores_elsewhere_with_or_without_its_recording(

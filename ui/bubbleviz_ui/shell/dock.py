@@ -43,6 +43,7 @@ class Dock(QDockWidget):
     """
 
     placed = False  # Not opened yet
+    restoring = False  # While Qt restores the layout: to change it then crashes Qt
     opened_s = 0.0  # When it was opened last, by a monotonic clock
 
     def __init__(
@@ -63,7 +64,8 @@ class Dock(QDockWidget):
     def setVisible(self, visible: bool) -> None:
         """Show or hide; open in front of its tabs."""
         window, opened = self.parentWidget(), visible and self.isHidden()
-        if not (opened and isinstance(window, QMainWindow)):
+        if self.restoring or not (opened and isinstance(window, QMainWindow)):
+            self.placed |= self.restoring and visible
             super().setVisible(visible)
             return
         narrow = window.width() < self._narrower_than
