@@ -20,6 +20,7 @@ from bubbleviz.recordings import SIGNIFICANT
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource, default_press
 from bubbleviz_ui.calibration import calibration_panel, levels_page
+from bubbleviz_ui.calibration.calibration_page import NumberForm
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
 from tests.small_press import changed
@@ -318,6 +319,19 @@ def test_a_low_window_shows_a_part_of_each_page_and_the_wheel_scrolls_it(bench):
     bar.setValue(0)
     turn_wheel(canvas, 1, place, held=CTRL)
     assert bar.value() == 0 and box.viewRange() != before
+
+
+def test_number_beside_long_names_is_in_one_line(qtbot, qapp):
+    form = NumberForm()
+    qtbot.addWidget(form)
+    form.set("misfit of ellipsoid", "0.060 mm rms")
+    form.set("edge of the measured points above the rim plane", "0.015 ± 0.012 mm")
+    form.show()
+    (number,) = (each for each in form.findChildren(QLabel) if each.text() == "0.060 mm rms")
+    for width in range(420, form.minimumSizeHint().width(), -10):
+        form.resize(width, 400)
+        qtbot.waitUntil(lambda width=width: form.width() == width)
+        assert number.height() < 1.5 * number.fontMetrics().lineSpacing(), width
 
 
 def test_panel_takes_the_free_height_and_level_controls_are_visible(drive):

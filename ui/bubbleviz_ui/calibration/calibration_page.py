@@ -56,6 +56,10 @@ class Page(QWidget):
         raise NotImplementedError
 
 
+WIDEST = "88.888 mm rms"
+"""A number that fits in one line."""
+
+
 class NumberForm(QWidget):
     """Form with named numbers."""
 
@@ -73,6 +77,8 @@ class NumberForm(QWidget):
         if name not in self._labels:
             label = theme.bold(QLabel())
             label.setWordWrap(True)
+            # else a row beside a long name is not wrapped, but its number is
+            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(WIDEST))
             self._labels[name] = label
             self._form.addRow(name, label)
         self._labels[name].setText(DASH if text is None else text)

@@ -120,7 +120,7 @@ class PlotsPanel(QWidget):
         busy = done < frames
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        self.analyse.setEnabled(not busy)
+        self.analyse.setVisible(not busy)  # the row has no room for all in a narrow window
         self.progress.setMaximum(max(frames, 1))
         self.progress.setValue(done)
         left_s = self._controller.analysis.remaining_s
