@@ -83,6 +83,9 @@ def test_usual_peak_pressure_never_shrinks_while_a_press_grows_and_leaves_out_ou
     assert extremes.usual_peak_pa == 12_500.0
     extremes.include(9, Numbers(peak_pa=60e3))  # three are no outliers
     assert extremes.usual_peak_pa == 60e3
+    for frame in (7, 8, 9):  # solved anew, as in a loop
+        extremes.include(frame, Numbers(peak_pa=50e3))
+    assert extremes.usual_peak_pa == 60e3
 
 
 def test_scale_grows_only_in_the_first_pass_of_playback(qtbot, new_window, sensor):

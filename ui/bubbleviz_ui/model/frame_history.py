@@ -71,7 +71,8 @@ class Extremes:
         self.residual_m = float(np.fmax(self.residual_m, known.residual_m))
         self.force_n = float(np.fmax(self.force_n, known.force_n))
         if known.peak_pa > 0.0:
-            self._peaks_pa[frame] = known.peak_pa
+            # never smaller: the scale of a loop stands still when a frame is solved anew
+            self._peaks_pa[frame] = max(known.peak_pa, self._peaks_pa.get(frame, 0.0))
             highest = sorted(self._peaks_pa, key=self._peaks_pa.__getitem__)[-_ENOUGH:]
             self._peaks_pa = {frame: self._peaks_pa[frame] for frame in highest}
 
