@@ -33,14 +33,7 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.second_membrane import SecondMembrane
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.demand import StageTimes
-from bubbleviz_ui.model.messages import (
-    CALIBRATION,
-    OBJECT,
-    OPENING,
-    SOURCE,
-    MessageKind,
-    UserMessage,
-)
+from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKind, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -478,10 +471,10 @@ class PanelWindow(QMainWindow):
 
     def _on_pose(self) -> None:
         if not self.pose.session.problem:
-            self.message.drop_topic(OBJECT)
+            self.message.drop_topic("object")
 
     def _on_failed(self, failed: Failed) -> None:
-        message, topic = failed.message, OBJECT if failed.key == OBJECT else SOURCE
+        message, topic = failed.message, "object" if failed.key == "object" else SOURCE
         if failed.key == "open":
             facts = self.state.facts
             stays = "" if facts is None or facts.is_empty else " The current source stays open."

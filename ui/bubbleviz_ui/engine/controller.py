@@ -23,7 +23,6 @@ from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.demand import Demand, needed_products, plot_products, pose_products
-from bubbleviz_ui.model.messages import OBJECT
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, solver_title
@@ -208,7 +207,7 @@ class Controller(QObject):
             failed(failure)
             client.failed.emit(failure)
 
-        client.worker.submit(function, take, report, key=OBJECT)
+        client.worker.submit(function, take, report, key="object")
 
     def compare(self, settings: tuple[ComparedOptions, ...]) -> None:
         """Measure two settings, or none, on the frame at the cursor while the solver is idle.

@@ -15,8 +15,6 @@ OPENING = "opening"
 """Topic of failures to open or connect."""
 SOURCE = "source"
 """Topic of failures in the open source, until another one is open."""
-OBJECT = "object"
-"""Topic of failures to load or register an object; the key of these requests."""
 CALIBRATION = "calibration"
 """Topic of the calibration of the open source."""
 MAX_MESSAGES = 1000

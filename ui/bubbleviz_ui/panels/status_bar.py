@@ -69,12 +69,12 @@ HIDING_ORDER = (
 """Labels hidden in a narrow window, first to last; the panels show the same numbers."""
 
 
-def widest_texts(units: Units, of: str) -> dict[str, str]:
-    """The longest text to expect of each label; `of`: of which sensor the force is."""
+def widest_texts(units: Units) -> dict[str, str]:
+    """The longest text to expect of each label."""
     return {
         "sensor": "soft-bubble 75 mm (preset)",
         "frame": "frame 888 of 0–888 · 88.888 s",
-        "force": f"{of}force ≈ {units.force.with_interval(88.88, 0.88)}",
+        "force": f"force ≈ {units.force.with_interval(88.88, 0.88)}",
         "area": f"patch {units.area.text(8.888e-3)}",
         "gas": f"p_v {units.gas_pressure.text(8888.0, signed=True)}",
         "residual": f"residual {units.length.text(8.88e-3)}",
@@ -112,7 +112,7 @@ class StatusBar(QStatusBar):
 
     def fit_units(self) -> None:
         """Make each label as wide as its longest text in the current units."""
-        for name, text in widest_texts(self._units, self._of).items():
+        for name, text in widest_texts(self._units).items():
             label = self.labels[name]
             width = label.fontMetrics().horizontalAdvance(text) + 6
             if isinstance(label, Steady):
@@ -147,9 +147,6 @@ class StatusBar(QStatusBar):
         `sensor`: Name of the sensor if there are two.
         """
         of = f"{sensor}: " if sensor else ""
-        if of != self._of:
-            self._of = of
-            self.fit_units()
         units, frame = self._units, result.frame
         estimate, patch = result.trusted_estimate, result.trusted_patch
         texts = {
@@ -162,6 +159,8 @@ class StatusBar(QStatusBar):
         }
         for name, text in texts.items():
             self.labels[name].setText(text)
+        if sensor:
+            self._fit()  # its name needs room
         part = friction_text(result, units)
         known = f"{part} (friction was not estimated)" if part == DASH and patch else part
         friction = f"its part by friction: {known}"
@@ -222,7 +221,6 @@ class StatusBar(QStatusBar):
         return f"p_v {self._units.gas_pressure.text(change, signed=True)}"
 
     _solve_ms: float | None = None
-    _of = ""  # Of which of two sensors the force is
 
     def _label(self, name: str) -> QLabel:
         middle = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file
