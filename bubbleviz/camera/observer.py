@@ -117,6 +117,11 @@ _FALSE, _AROUND = 6.0, 2
 range that a slope of the membrane of up to two explains: a mesh edge over a block, which is half as
 wide. A block is compared in the same way with the median of the blocks up to this many away."""
 
+_BORDER = 2
+"""Blocks, half a mesh edge wide, to missing returns within which returns may have an error, another
+one at each distance. On a simulated sensor with a specular spot whose border is biased, 85 % of
+forces are in their 95 % intervals with one block, 96 % with two, 92 % with three."""
+
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
 """Pixels checked for outliers per independent sample, and about the most of an image: they
 determine a share of 1e-3 to a fifth of it."""
@@ -132,6 +137,8 @@ class Measured:
     # of the residual over σ², 1/m
     total: np.ndarray
     moment: np.ndarray
+    # (B, b), blocks at each distance from missing returns, 1 or 0; b is 0 if none are missing
+    border: np.ndarray
     # variance of the block means due to rounding of the depth to millimetres, (B,), m², or 0
     rounding_m2: np.ndarray | float = 0.0
     # factor by which block means are noisier than expected: more than `noise` where that is
@@ -208,6 +215,8 @@ class RangeObserver:
         self._sample = self._used.of(self._whole_blocks())
         correlated = 1.0 if pixels is None else pixels.correlated_pixels
         self._noise_m = float(np.median(1.0 / np.sqrt(self._used.precision)))
+        self.border_sigma_m = self._noise_m
+        """Largest σ of errors beside missing returns; a hundredth, the least, is negligible."""
         if pixels is not None:  # measured on rounded depth: rounding errors do not dither it
             self._noise_m = float(np.sqrt(max(self._noise_m**2 - _MILLIMETRE**2 / 12.0, 0.0)))
         apart = max(1.0, correlated / _OUTLIER_PIXELS, len(self.pixel) / _MAX_OUTLIER_PIXELS)
@@ -329,7 +338,23 @@ class RangeObserver:
             total = total.copy()
             total[holes], moment[holes] = self._sums_of(holes, depth_m)
         rounding = self._rounding_variance(total, moment) if self._is_rounded(depth_m) else 0.0
-        return Measured(depth_m, noise, total / noise**2, moment / noise**2, rounding, noise)
+        border = self._border(total)
+        total, moment = total / noise**2, moment / noise**2
+        return Measured(depth_m, noise, total, moment, border, rounding, noise)
+
+    def _border(self, total: np.ndarray) -> np.ndarray:
+        """Blocks at each distance, see `Measured`, from those that lack half of their pixels.
+
+        Blocks at the edge of the membrane, with less than half of their pixels there, never do.
+        """
+        missing = (total < 0.5 * self._total) & (self._count > 0.5 * self.block**2)
+        if not missing.any():
+            return np.zeros((self.blocks, 0))
+        row, column = np.divmod(self.block_number, self.columns)
+        elsewhere = np.ones((row.max() + 1, self.columns), bool)
+        elsewhere[row, column] = ~missing
+        distance = ndimage.distance_transform_cdt(elsewhere, "chessboard")[row, column]
+        return (distance[:, None] == np.arange(_BORDER + 1)).astype(float)
 
     def change_noise(self, images: Sequence[Measured], lag: int) -> tuple[float, float]:
         """Noise factor of block means by their changes over `lag` images, and variance of these.

@@ -24,7 +24,7 @@ from .estimator import (
 )
 from .friction import (
     friction_loads as friction_loads,
-    friction_scale as friction_scale,
+    prior_scale as prior_scale,
 )
 from .gauss_newton import (
     GaussNewton as GaussNewton,

@@ -4,10 +4,10 @@
 
 e is the residual of the shape, in ranges and, with colour, in optical flow, D their derivative by
 the node positions, and δ the motion to equilibrium under the present pressure p₀. The nuisance
-amplitudes c (errors of a measured gas pressure and of the whole image, friction of each contact)
-change the measurements by R c; they have a prior and are eliminated from the misfit. The problem is
-solved with the L1 term first, to find where there is contact, then without it on the support of
-maximal evidence, which removes its bias.
+amplitudes c (errors of a measured gas pressure, of the whole image and beside missing returns,
+friction of each contact) change the measurements by R c; they have a prior and are eliminated from
+the misfit. The problem is solved with the L1 term first, to find where there is contact, then
+without it on the support of maximal evidence, which removes its bias.
 """
 
 from __future__ import annotations

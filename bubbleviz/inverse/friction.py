@@ -43,12 +43,12 @@ _SCALES = np.geomspace(0.01, 1.0, 81)
 likely as all others together, which are equally likely: a contact has no friction, or any share of
 Coulomb's. This extra weight was chosen on rubber dragged and twisted by another solver. Intervals
 do not use it: otherwise friction as small as its noise would be outside in one of three cases."""
-WIDEST = 1.0, 1.0
-"""Scales without evidence."""
+UNSCALED = 1.0, 1.0, float(_SCALES[0])
+"""Scales without evidence: of slides, spins and errors beside missing returns."""
 
 
-class FrictionScale(NamedTuple):
-    """Scale of the prior of slides, or spins, by the evidence of one frame.
+class PriorScale(NamedTuple):
+    """Scale of the prior of some amplitudes, such as slides, by the evidence of one frame.
 
     `value` is the scale whose number of determined parameters (MacKay 1992) is the mean over all
     scales, so that its solution is near their mean. `spread` (q, q) is what the uncertainty of the
@@ -59,10 +59,10 @@ class FrictionScale(NamedTuple):
     spread: np.ndarray
 
 
-def friction_scale(
+def prior_scale(
     amplitudes: np.ndarray, covariance: np.ndarray, sigma: float, present: float
-) -> FrictionScale:
-    """Scale of the prior of slides, or spins, by depth alone.
+) -> PriorScale:
+    """Scale of the prior of slides, spins, or errors beside missing returns, by depth alone.
 
     A wide prior alone would take noise for friction: at 1 % of depth noise, the force of presses
     without friction into rubber of another solver is off by up to 2.6 %, instead of 1.2 %.
@@ -70,7 +70,7 @@ def friction_scale(
     Parameters
     ----------
     amplitudes, covariance : (q,), (q, q) array
-        Amplitudes of all contacts in the solution of a frame, and their covariance.
+        Amplitudes in the solution of a frame, as slides of all contacts, and their covariance.
     sigma : float
         Their standard deviation at scale 1.
     present : float
@@ -89,7 +89,7 @@ def friction_scale(
     deviations, variance = solutions[:-1] - solutions[chosen], 1.0 / (data + prior[:-1])
     more = np.maximum(equal @ variance - variance[chosen], 0.0)
     spread = axes @ (np.diag(more) + (deviations.T * equal) @ deviations) @ axes.T
-    return FrictionScale(float(_SCALES[chosen]), spread)
+    return PriorScale(float(_SCALES[chosen]), spread)
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from bubbleviz.inverse.contact_problem import (
     smoothness,
     touching_parts,
 )
-from bubbleviz.inverse.friction import WIDEST, friction_nuisances, friction_scale
+from bubbleviz.inverse.friction import UNSCALED, friction_nuisances, prior_scale
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -102,15 +102,22 @@ class State:
         return self.friction - self.pressure[:, None] * self.area_vectors
 
 
+class Scaled(NamedTuple):
+    """Amplitudes whose prior has a scale by evidence: their indices, and their σ at scale 1."""
+
+    own: np.ndarray
+    sigma: float
+
+
 class Hyperparameters(NamedTuple):
     """Noise and priors of a frame, as determined by its own evidence.
 
-    `friction` has the scales of the priors of slides and spins by depth alone, `image_errors` the
-    prior of the errors of the whole image.
+    `scales` are those of the priors of slides and spins by depth alone, and of errors beside
+    missing returns; `image_errors` is the prior of the errors of the whole image.
     """
 
     noise: Noise
-    friction: tuple[float, float]
+    scales: tuple[float, ...]
     image_errors: ImageErrors
 
     @property
@@ -141,8 +148,8 @@ class Step:
         Of the step.
     last_tangent : Tangent
         The last one computed, which may be nearer to the new shape.
-    friction : two int arrays
-        Indices of the amplitudes of slides, and of spins, determined by depth alone.
+    scaled : three Scaled
+        Slides and spins by depth alone, and errors beside missing returns.
     hyperparameters : Hyperparameters
         By the step's own evidence near the solution, else those given.
     selected_with : Hyperparameters
@@ -158,7 +165,7 @@ class Step:
     contact: ContactPressure
     tangent: Tangent
     last_tangent: Tangent
-    friction: tuple[np.ndarray, np.ndarray]
+    scaled: tuple[Scaled, ...]
     hyperparameters: Hyperparameters
     selected_with: Hyperparameters
     residual_m: np.ndarray
@@ -171,7 +178,7 @@ class Step:
 
     @property
     def image_error_m(self) -> np.ndarray:
-        """Range errors (k,) due to those of the whole image; 0 where these were not fitted."""
+        """Range errors (k,) of the whole image and beside missing returns, as far as fitted."""
         return self.measurements.nuisances.error(self.contact.amplitudes)
 
     @property
@@ -271,7 +278,8 @@ class GaussNewton:
         errors_m = self.observer.image_errors[view.block]
         measured_m = observation.residual_m[view.block] - errors_m @ prior.mean
         flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
-        return LinearisedFrame(view, observation, measured_m, errors_m, prior, flow)
+        border = data.ranges.border[view.block]
+        return LinearisedFrame(view, observation, measured_m, errors_m, prior, border, flow)
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
@@ -294,8 +302,9 @@ class GaussNewton:
 
         `image_errors`: prior of the errors of the whole image, by default its own.
         """
-        tangent, by_depth = self._rest_tangent[gas is not None], replace(at_rest, flow=None)
-        hyper = Hyperparameters(Noise(noise), WIDEST, image_errors or at_rest.image_prior)
+        tangent = self._rest_tangent[gas is not None]
+        by_depth = replace(at_rest, border=at_rest.border[:, :0], flow=None)
+        hyper = Hyperparameters(Noise(noise), UNSCALED, image_errors or at_rest.image_prior)
         measurements, _ = self._measurements(tangent, self.rest, by_depth, gas, hyper, False, True)
         return self._problem(tangent, measurements, self.rest, gas).zero_is_optimal()
 
@@ -340,9 +349,10 @@ class GaussNewton:
         whole image are fitted (`fit_image`) or zero. Near the solution friction is fitted,
         insignificant parts of the contact are left out, and the step's own evidence determines the
         hyperparameters: the support is selected again until they agree with those that it was
-        selected with (noise factor within a step of its grid, the same errors of the image).
+        selected with (noise factor within a step of its grid, the same errors of the image and the
+        same scale of those beside missing returns).
         """
-        measurements, friction = self._measurements(
+        measurements, scaled = self._measurements(
             tangent, state, observed, gas, hyper, near, fit_image
         )
         began = time.perf_counter()
@@ -354,14 +364,17 @@ class GaussNewton:
             if not near:
                 break
             contact, hyper = self._by_evidence(
-                contact, touches, friction, observed, gas, hyper, fit_image
+                contact, touches, scaled, observed, gas, hyper, fit_image
             )
             if not rounds:
                 selected_with = hyper
                 break
             selections += 1
             same_image = hyper.image_errors is selected_with.image_errors
-            settled = same_image and are_neighbours(hyper.noise, selected_with.noise)
+            same_border = hyper.scales[-1] == selected_with.scales[-1]
+            settled = (
+                same_image and same_border and are_neighbours(hyper.noise, selected_with.noise)
+            )
             if settled or selections == _MAX_SOLUTIONS:
                 break
             selected_with, problem, support = hyper, contact.problem, contact.support
@@ -381,7 +394,7 @@ class GaussNewton:
             contact,
             tangent,
             last,
-            friction,
+            scaled,
             hyper,
             selected_with,
             observed.residual_m(motion, nuisances.error(contact.amplitudes)),
@@ -397,8 +410,8 @@ class GaussNewton:
         hyper: Hyperparameters,
         near: bool,
         fit_image: bool,
-    ) -> tuple[Measurements, tuple[np.ndarray, np.ndarray]]:
-        """Residual and weights of a frame with its nuisances; indices of slides and of spins."""
+    ) -> tuple[Measurements, tuple[Scaled, ...]]:
+        """Residual and weights of a frame with its nuisances, and those with a scale."""
         moving = []
         if gas is not None:
             bulge = tangent.bulge[:, :, None]
@@ -417,15 +430,20 @@ class GaussNewton:
                 moving.append((tangent.motion(pull), pull))
         first = int(gas is not None)
         spins = by_depth % 3 == 2  # the third amplitude of each contact
-        friction = first + by_depth[~spins], first + by_depth[spins]
         alone = observed.measurements(hyper.noise, moving)
-        prior = self._prior(alone.nuisances, friction, observed, gas, hyper, fit_image)
-        return alone.with_prior(*prior, 1.0), friction
+        count = alone.nuisances.motions.shape[2]
+        scaled = (
+            Scaled(first + by_depth[~spins], self.friction),
+            Scaled(first + by_depth[spins], self.friction),
+            Scaled(count + np.arange(observed.border.shape[1]), self.observer.border_sigma_m),
+        )
+        prior = self._prior(alone.nuisances, scaled, observed, gas, hyper, fit_image)
+        return alone.with_prior(*prior, 1.0), scaled
 
     def _prior(
         self,
         nuisances: Nuisances,
-        friction: tuple[np.ndarray, np.ndarray],
+        scaled: tuple[Scaled, ...],
         observed: LinearisedFrame,
         gas: float | None,
         hyper: Hyperparameters,
@@ -433,11 +451,11 @@ class GaussNewton:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Mean (a,), and root (a, a) of the covariance, of the prior of a frame's nuisances."""
         mean, root = np.zeros_like(nuisances.mean), np.zeros_like(nuisances.root)
-        sigma = np.full(nuisances.motions.shape[2], self.friction)
+        sigma = np.full(len(mean) - len(IMAGE_ERRORS), self.friction)
         if gas is not None:
             sigma[0] = hyper.doubt * gas_sigma(self.bubble.gas, gas)
-        for own, scale in zip(friction, hyper.friction, strict=True):
-            sigma[own] = self.friction * scale
+        for (own, widest), scale in zip(scaled, hyper.scales, strict=True):
+            sigma[own] = widest * scale
         np.fill_diagonal(root[: len(sigma)], sigma)
         if fit_image:
             last = slice(-len(IMAGE_ERRORS), None)
@@ -495,7 +513,7 @@ class GaussNewton:
         self,
         contact: ContactPressure,
         touches: TouchRule,
-        friction: tuple[np.ndarray, np.ndarray],
+        scaled: tuple[Scaled, ...],
         observed: LinearisedFrame,
         gas: float | None,
         hyper: Hyperparameters,
@@ -511,7 +529,7 @@ class GaussNewton:
 
         def solved(found: Hyperparameters) -> ContactPressure:
             nuisances = contact.problem.measurements.nuisances
-            prior = self._prior(nuisances, friction, observed, gas, found, fit_image)
+            prior = self._prior(nuisances, scaled, observed, gas, found, fit_image)
             factor = (hyper.noise.ranges / found.noise.ranges) ** 2
             return contact.problem.with_prior(*prior, factor).solve_debiased(selection, touches)
 
@@ -519,36 +537,35 @@ class GaussNewton:
             known = hyper._replace(image_errors=observed.image_prior)
             contact, hyper = solved(known), known
         for _ in range(_MAX_SOLUTIONS):
-            found = self._evidence(contact, friction, observed, hyper, fit_image)
+            found = self._evidence(contact, scaled, observed, hyper, fit_image)
             if found == hyper:
                 break
             again, before = solved(found), hyper
             same_nodes, contact, hyper = np.array_equal(again.nodes, contact.nodes), again, found
-            if same_nodes and hyper == before._replace(friction=hyper.friction):
+            if same_nodes and hyper == before._replace(scales=hyper.scales):
                 break  # the scales of friction do not depend on those it was solved with
         return contact, hyper
 
     def _evidence(
         self,
         contact: ContactPressure,
-        friction: tuple[np.ndarray, np.ndarray],
+        scaled: tuple[Scaled, ...],
         observed: LinearisedFrame,
         hyper: Hyperparameters,
         fit_image: bool,
     ) -> Hyperparameters:
         """Hyperparameters by the evidence of a contact solved with others."""
-        scales = hyper.friction
-        if len(friction[0]):  # else no contact, or optical flow sees all
-            slides, spins = (
-                friction_scale(
-                    contact.amplitudes[own],
-                    part(contact.covariance, len(contact.nodes) + own),
-                    self.friction,
-                    scale,
-                ).value
-                for own, scale in zip(friction, hyper.friction, strict=True)
-            )
-            scales = slides, spins
+        scales = tuple(
+            prior_scale(
+                contact.amplitudes[own],
+                part(contact.covariance, len(contact.nodes) + own),
+                sigma,
+                scale,
+            ).value
+            if len(own)  # else no contact, or optical flow sees all
+            else scale
+            for (own, sigma), scale in zip(scaled, hyper.scales, strict=True)
+        )
         noise, image_errors = hyper.noise, hyper.image_errors
         if observed.flow is None and (contact.pressure.any() or not contact.pivots):
             error_m = contact.problem.measurements.nuisances.error(contact.amplitudes)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Measured, Misfit, ShapeRanges
-from bubbleviz.inverse.friction import WIDEST, contacts_seen_by_flow
+from bubbleviz.inverse.friction import UNSCALED, contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import (
     LARGE_MOTION,
     MAX_STEP,
@@ -67,8 +67,8 @@ class Start:
         Last tangent used.
     noise : Noise
         Noise factors of the frame, a first guess for the next one.
-    friction_scales : (float, float)
-        Scales of its priors of slides and spins, also a first guess.
+    scales : (float, float, float)
+        Scales of its priors, see `Hyperparameters`, also a first guess.
     image_errors : ImageErrors or None
         Prior of the errors of the whole image in the frame.
     view : ShapeRanges or None
@@ -80,7 +80,7 @@ class Start:
     state: State | None = None
     tangent: Tangent | None = None
     noise: Noise = AS_EXPECTED
-    friction_scales: tuple[float, float] = WIDEST
+    scales: tuple[float, ...] = UNSCALED
     image_errors: ImageErrors | None = None
     view: ShapeRanges | None = None
     by_flow: Start | None = None
@@ -149,13 +149,13 @@ class Iteration:
        without any pressure.
     3. Once the shape has converged, select the support again, until it is complete.
     4. Near the solution, the evidence of each step determines the noise factor by which the image
-       is weighted, the scales of friction, and whether the known errors of the image fit; the
-       support is selected again until they agree, so that the result does not depend on previous
-       frames. Before, and with optical flow, the residual of each step to an equilibrium gives the
-       noise factor of the next one. Whether there is contact is decided with at least the noise of
-       the sensor. Without a warm start the first step to an equilibrium gives a first guess of the
-       factor, unless it contradicts a measured gas pressure; until then, only the nodes with the
-       steepest gradient are selected.
+       is weighted, the scales of friction and of errors beside missing returns, and whether the
+       known errors of the image fit; the support is selected again until they agree, so that the
+       result does not depend on previous frames. Before, and with optical flow, the residual of
+       each step to an equilibrium gives the noise factor of the next one. Whether there is contact
+       is decided with at least the noise of the sensor. Without a warm start the first step to an
+       equilibrium gives a first guess of the factor, unless it contradicts a measured gas pressure;
+       until then, only the nodes with the steepest gradient are selected.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ class Iteration:
         self._warm = bool(np.count_nonzero(state.pressure) >= fewest)
         self._state, self._view = state if self._warm else newton.rest, start.view
         self._tangent = start.tangent
-        scales = start.friction_scales if self._warm else WIDEST
+        scales = start.scales if self._warm else UNSCALED
         known, unknown = data.image_errors, newton.image_prior
         image_errors = unknown if known is None or start.image_errors is unknown else known
         self._hyper = Hyperparameters(start.noise, scales, image_errors)
@@ -294,7 +294,7 @@ class Iteration:
         self._motion_m, self._normal_motion_m = step.motion_m, step.normal_motion_m
         force_n = step.state.nodal_force.sum(axis=0)
         self._force_n, self._force_change_n = force_n, force_n - self._force_n
-        self._hyper = step.selected_with._replace(friction=step.hyperparameters.friction)
+        self._hyper = step.selected_with._replace(scales=step.hyperparameters.scales)
         self._large_steps += self._selecting and self._large and step.motion_m < self._cut_m
 
     def _has_converged(
@@ -421,7 +421,7 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
         return False
     fits = newton.fits_without_contact(observed, None)
     rest_tangent = newton.tangent_at(newton.rest, None)
-    hyper = Hyperparameters(AS_EXPECTED, WIDEST, observed.image_prior)
+    hyper = Hyperparameters(AS_EXPECTED, UNSCALED, observed.image_prior)
     step = newton.step(rest_tangent, newton.rest, observed, None, hyper, int(not fits), fits, False)
     if step is None or not step.state.balanced:
         return False

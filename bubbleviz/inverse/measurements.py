@@ -217,6 +217,8 @@ class LinearisedFrame:
         Range errors of those blocks under a unit of each error of the whole image.
     image_prior : ImageErrors
         Of these errors.
+    border : (k, b) array
+        Range errors of those blocks under a unit of each error beside missing returns.
     flow : FlowResidual or None
     """
 
@@ -225,6 +227,7 @@ class LinearisedFrame:
     measured_m: np.ndarray
     image_errors_m: np.ndarray
     image_prior: ImageErrors
+    border: np.ndarray
     flow: FlowResidual | None
 
     @cached_property
@@ -286,10 +289,12 @@ class LinearisedFrame:
             jacobian = sparse.vstack([jacobian, self.flow.jacobian], format="csr")
             error = np.concatenate([error, self.flow.error_px])
             weight = np.concatenate([weight, self.flow.weight(noise.flow)])
-        nuisances = Nuisances.joined(moving, self.image_errors_m, jacobian.shape[1] // 3)
+        errors_m = np.hstack([self.border, self.image_errors_m])
+        nuisances = Nuisances.joined(moving, errors_m, jacobian.shape[1] // 3)
         return Measurements(jacobian, error, weight, nuisances)
 
     @cached_property
     def _by_image(self) -> Measurements:
-        alone = replace(self, flow=None).measurements(AS_EXPECTED, [])
+        ranges = replace(self, border=self.border[:, :0], flow=None)
+        alone = ranges.measurements(AS_EXPECTED, [])
         return alone.with_prior(alone.nuisances.mean, self.image_prior.units, 1.0)

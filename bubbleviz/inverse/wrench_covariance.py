@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bubbleviz.inverse.friction import friction_scale
+from bubbleviz.inverse.friction import prior_scale
 from bubbleviz.inverse.gauss_newton import Step
 from bubbleviz.inverse.pivoting import part
 from bubbleviz.membrane import cross
@@ -47,13 +47,14 @@ def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.nd
         covariance += np.outer(change, change)
     around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
     unit = unit_wrenches(step, around)
-    alone = np.eye(len(unit))[:, len(around) + np.concatenate(step.friction)]
+    alone = np.eye(len(unit))[:, len(around) + np.concatenate([own for own, _ in step.scaled])]
     joint = problem.covariance_of(around, np.hstack([unit, alone]))
-    places = np.split(np.arange(6, len(joint)), [len(step.friction[0])])
-    for own, at, scale in zip(step.friction, places, step.hyperparameters.friction, strict=True):
+    ends = np.cumsum([len(own) for own, _ in step.scaled])[:-1]
+    places, scales = np.split(np.arange(6, len(joint)), ends), step.hyperparameters.scales
+    for (own, sigma), at, scale in zip(step.scaled, places, scales, strict=True):
         if len(own):
             amplitudes, uncertain = step.contact.amplitudes[own], part(joint, at)
-            spread = friction_scale(amplitudes, uncertain, friction, scale).spread
+            spread = prior_scale(amplitudes, uncertain, sigma, scale).spread
             wrenches = np.linalg.solve(uncertain, joint[at, :6]).T
             covariance += wrenches @ spread @ wrenches.T
     return covariance + joint[:6, :6]

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 import bubbleviz as bv
-from bubbleviz.inverse import EstimatorOptions, friction_loads, friction_scale
+from bubbleviz.inverse import EstimatorOptions, friction_loads, prior_scale
 from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
@@ -73,7 +73,7 @@ def test_prior_of_friction_is_as_wide_as_the_frame_says():
         for _ in range(20):
             share = scale**2 / (scale**2 + variance)
             covariance = share * variance * np.eye(2)
-            found = friction_scale(share * measured, covariance, 1.0, scale)
+            found = prior_scale(share * measured, covariance, 1.0, scale)
             if found.value == scale:
                 break
             scale = found.value

@@ -92,6 +92,23 @@ def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
     assert np.isnan(solver.estimate(rest)[0].seen_share)
 
 
+@pytest.mark.parametrize(("radius", "bias_m"), [(0.05, 0.0), (0.05, -5e-4), (0.08, 1e-3)])
+def test_returns_biased_beside_a_specular_spot_leave_the_force_in_its_interval(
+    solver, radius, bias_m
+):
+    """The spot, without returns, is in the contact; the ring around it is 2 mm wide."""
+    mesh, contact = pressed("sphere", 0.004, 0.008)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    rest = depth_image_of(mesh, np.zeros_like(mesh.nodes), NOISE_M)
+    row, column = np.unravel_index(np.nanargmax(rest - image), image.shape)
+    away = np.hypot(ROWS - row, COLUMNS - column) / image.shape[1]
+    ring = (radius <= away) & (away < radius + 0.028)
+    estimate, _ = solver.estimate(np.where(away < radius, np.nan, image + bias_m * ring))
+    error = np.abs(estimate.force_n - contact.nodal_force_n.sum(axis=0))
+    assert (error < 1.96 * estimate.force_sigma_n).all()
+    assert np.linalg.norm(error) < 0.02 * np.linalg.norm(estimate.force_n)
+
+
 def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):
     """A camera turned in its mount measures points where the membrane cannot be."""
     mesh, _ = pressed("sphere", 0.007, 0.0)
