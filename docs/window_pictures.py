@@ -148,7 +148,7 @@ def panels(session: WindowSession, folder: Path, theme: str) -> None:
         (window.menus.show_performance, PerformancePopup, "costs"),
         (window.menus.show_export, ExportDialog, "export"),
         (window.menus.show_import, ImportDialog, "import"),
-        (window.menus.show_palette, CommandPalette, "palette"),
+        (window.shortcuts.actions["Help › Command palette"].trigger, CommandPalette, "palette"),
         (window.menus.show_shortcuts, ShortcutsDialog, "shortcuts"),
     ):
         show()
