@@ -294,8 +294,6 @@ class RubberProblem:
             of_shape = np.zeros((len(rows), self._size))
             by_rise = rows[:, last]  # per pascal
             of_shape[:, _RUBBER] = rows[:, 1:last]
-            if self._pressed:  # friction, which is not modelled, changes a dent in a similar way
-                of_shape[:, _UNEQUAL] = 0.0
             of_shape[:, 1] = -rises_pa[k] / vector[1] * by_rise
             of_shape[:, place] = rows[:, last + 1 :]
             of_shape[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
@@ -363,16 +361,21 @@ class RubberProblem:
 
         A flat sheet may be stretched unequally before it is inflated, not by inflation, and a
         moulded dome has no such stretch: its λ is less than a flat sheet needs for its area.
+        In a press it is only fitted between film and sheet: friction, which is not modelled,
+        changes a dent as unequal stretch does.
         """
-        stretch = max(q, SMALLEST_Q) ** (-1.0 / 6.0)
+        stretch = np.clip(q, SMALLEST_Q, LARGEST_Q) ** (-1.0 / 6.0)
         by_inflation = np.sqrt(self._mesh.facet_areas.sum() / self._mesh.facet_vectors[:, 2].sum())
         part = np.clip((stretch - by_inflation) / (stretch - 1.0), 0.01, 1.0)  # 0 is singular
-        self._unequal_sigma = np.hypot(part * _UNEQUAL_SIGMA, self._of_sheet / np.sqrt(12.0))
+        self._unequal_sigma, self._fitted_sigma = (
+            np.hypot(share * _UNEQUAL_SIGMA, self._of_sheet / np.sqrt(12.0))
+            for share in (part, 0.01 if self._pressed else part)
+        )
 
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
         """Rows and right sides of the priors on G, stress, gradient, and gas pressures."""
         sigma, mean = np.ones(self._size), np.zeros(self._size)
-        sigma[1:_MATERIAL] = gauge_sigma, *self._unequal_sigma, *3 * [_GRADIENT_SIGMA]
+        sigma[1:_MATERIAL] = gauge_sigma, *self._fitted_sigma, *3 * [_GRADIENT_SIGMA]
         mean[1:_MATERIAL] = self._means
         known = [*range(1, _MATERIAL), *range(self._size)[self._errors]]
         rows = np.diag(1.0 / sigma)[known]
@@ -487,8 +490,8 @@ class RubberProblem:
         temper = float(covariance[1, 1] / white)
         covariance = covariance + inverse @ priors.T @ priors @ inverse.T
         # model errors may count more in the unequal tension than what is expected of it
-        both = _UNEQUAL, _UNEQUAL
-        covariance[both] = np.minimum(covariance[both], self._unequal_sigma**2)
+        both, most = (_UNEQUAL, _UNEQUAL), self._unequal_sigma**2
+        covariance[both] = most if self._pressed else np.minimum(covariance[both], most)
         return covariance, temper
 
     def _other_models(self, vector: np.ndarray) -> list[np.ndarray]:

@@ -22,6 +22,7 @@ _LEVELS = (
     " their gas pressures (--level)"
 )
 _FARTHER = "record levels farther apart, or more (--level)"
+_STEEP = "hardly possible: levels determine it on steep domes only"
 _OF_TENSION = {
     "frames": "let gas and camera settle before recording (largest error: drift between frames)",
     "facets": "use more nodes, --nodes (largest error: flat facets of the mesh)",
@@ -163,6 +164,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
         rows.append(("λ", "not determined", found.why_not, narrower))
     for name, each in found.rubber.items():
         digits, narrower = 2, _LEVELS if found.shapes_kind == "press" else _FARTHER
+        if name.startswith("unequal"):
+            narrower = _STEEP
         if name == "prestretch":
             digits, narrower = 3, _FARTHER if vented else chamber
         rows.append((RUBBER_NAMES[name], _range(each.texts(digits)), each.source, narrower))

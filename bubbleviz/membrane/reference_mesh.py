@@ -144,9 +144,8 @@ def varied_rubber(
     Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
     also by its standard deviation in the sensor file. Parameters as of `build_rubber`.
     Stress at rest follows from shape, gauge pressure, share and unequal tension, whatever the
-    material. γ0 is
-    proportional to the gauge pressure (Young–Laplace), so its own copy is raised only by the part
-    of its σ that the gauge pressure does not explain.
+    material. γ0 is proportional to the gauge pressure (Young–Laplace), so its own copy is raised
+    only by the part of its σ that the gauge pressure does not explain.
     """
     pneumatics, varied = sensor.pneumatics, []
     tension, gauge = _deviations(sensor, tension_n_per_m)

@@ -49,15 +49,18 @@ def truth():
     return pressed_rubber(STRETCH, MU_H)
 
 
-def pressed_rubber(stretch, mu_h):
+def pressed_rubber(stretch, mu_h, gauge_pa=G, flat=False):
     """Sensor, meshes at rest and pressed, their gas pressures, and λ; on a mesh of its own."""
-    cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 900)
+    dome = cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 900)
+    if flat:
+        cap = replace(dome, nodes=dome.nodes * [1.0, 1.0, 0.0])
     free = RubberMembrane(cap, 0.0, stretch**2 * inverse_metric(cap), mu_h)
-    rest = replace(cap, nodes=Inflation(free, np.zeros_like(cap.nodes)).at(G))
-    membrane = RubberMembrane(rest, G, stretch**2 * inverse_metric(cap), mu_h)
+    inflated = Inflation(free, np.zeros_like(cap.nodes)).at(gauge_pa, dome.nodes if flat else None)
+    rest = replace(cap, nodes=inflated)
+    membrane = RubberMembrane(rest, gauge_pa, stretch**2 * inverse_metric(cap), mu_h)
     sensor = given(float(rest.nodes[:, 2].max()))
     true_air = sensor.pneumatics.model_copy(
-        update={"atmospheric_pressure_pa": ATMOSPHERE_PA, "gauge_pressure_pa": G}
+        update={"atmospheric_pressure_pa": ATMOSPHERE_PA, "gauge_pressure_pa": gauge_pa}
     )
     ball = load_object("sphere")
     top = rest.nodes[:, 2].max() - ball.vertices[:, 2].min()
@@ -65,7 +68,7 @@ def pressed_rubber(stretch, mu_h):
     contact = RubberForward(membrane, Gas.of(true_air, rest)).press(ball, there)
     assert contact.converged
     pressed = replace(rest, nodes=rest.nodes + contact.displacement_3d_m)
-    gas = ATMOSPHERE_PA + G, ATMOSPHERE_PA + G + contact.gas_pressure_change_pa
+    gas = np.array([0.0, contact.gas_pressure_change_pa]) + ATMOSPHERE_PA + gauge_pa
     mean_stretch = (1.0 - membrane.mean_tension / mu_h) ** (-1.0 / 6.0)
     return sensor, (rest, pressed), gas, mean_stretch
 
@@ -216,3 +219,16 @@ def test_press_without_information(pressed):
     drawn = replace(kept, given=changed(kept.given, membrane={"prestretch": 1.3}))
     assert any("λ = 1.3 in the sensor file is kept" in line for line in advice(drawn))
     assert kept.sensor == found.sensor
+
+
+@pytest.mark.parametrize("stretch", [1.2, 1.3])
+def test_interval_of_an_oval_sheet_stretched_equally(stretch):
+    """Its unequal tension is due to the inflation over an oval rim, of which a press tells little.
+
+    With its expected value as known, both intervals of λ are too narrow.
+    """
+    truth = pressed_rubber(stretch, 160.0, 2500.0, flat=True)
+    found, held = identified(truth)
+    known = with_rubber(found, [], press=held)
+    assert known.prestretch.low < truth[-1] < known.prestretch.high
+    assert known.gauge.low < 2500.0 < known.gauge.high

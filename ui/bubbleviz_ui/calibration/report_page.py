@@ -98,7 +98,7 @@ class ReportPage(Page):
 
 def _remark(row: dict[str, str]) -> str:
     """A row of `parameters` as a sentence; a value with its interval is in the table."""
-    if row["value"][0].isdigit():
+    if "95 % interval" in row["value"]:
         return "{name} ({source}). To improve it: {improvement}.".format(**row)
     return sentence(row)
 

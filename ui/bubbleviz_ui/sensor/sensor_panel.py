@@ -60,11 +60,11 @@ VALUES = (
     Value("membrane.sheet_share", "Sheet share", "Stress of an oval rim at rest, between that of "
           "a film, 0, and that of a flat sheet, 1", "", "", "sheet_share_interval",
           "prestretch_from"),
-    Value("membrane.unequal_tension_x", "Unequal tension", "By unequal stretch: tension along x "
+    Value("membrane.unequal_tension_x", "Unequal tension x", "By unequal stretch: tension along x "
           "minus along y, over their sum", "", "", "unequal_tension_x_interval", "prestretch_from"),
-    Value("membrane.unequal_tension_xy", "Shear tension", "By unequal stretch between x and y: "
-          "twice the shear, over their sum", "", "", "unequal_tension_xy_interval",
-          "prestretch_from"),
+    Value("membrane.unequal_tension_xy", "Unequal tension xy", "By unequal stretch: twice the "
+          "shear tension of x and y, over the sum of both tensions", "", "",
+          "unequal_tension_xy_interval", "prestretch_from"),
     Value("membrane.stiffness_gradient_x", "Stiffness along x", "Relative change of the rubber's "
           "stiffness from the middle to the rim, in x", "", "", "stiffness_gradient_x_interval",
           "prestretch_from"),
