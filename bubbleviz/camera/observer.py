@@ -118,9 +118,10 @@ range that a slope of the membrane of up to two explains: a mesh edge over a blo
 wide. A block is compared in the same way with the median of the blocks up to this many away."""
 
 _BORDER = 2
-"""Blocks, half a mesh edge wide, to missing returns within which returns may have an error, another
-one at each distance. On a simulated sensor with a specular spot whose border is biased, 85 % of
-forces are in their 95 % intervals with one block, 96 % with two, 92 % with three."""
+"""Largest distance from missing returns, in blocks of half a mesh edge, at which returns may be
+biased. Each distance has an error of its own. On a simulated sensor with a specular spot whose
+border is biased, 85 % of forces are in their 95 % intervals with one block, 96 % with two, 92 %
+with three."""
 
 _OUTLIER_PIXELS, _MAX_OUTLIER_PIXELS = 4, 20_000
 """Pixels checked for outliers per independent sample, and about the most of an image: they
@@ -345,9 +346,9 @@ class RangeObserver:
     def _border(self, total: np.ndarray) -> np.ndarray:
         """Blocks at each distance, see `Measured`, from those that lack most of their pixels.
 
-        Single dropouts, 0.5 % of the pixels, are half of a square of four pixels in every second
-        image, but three quarters in one of 500.
-        Blocks at the edge of the membrane, with less than half of their pixels there, never do.
+        Most are three quarters: of blocks of four pixels, dropouts of 0.5 % of the pixels leave
+        out that many in one image of 500. Blocks with less than half of their pixels on the
+        membrane, as at its edge, do not count.
         """
         missing = (total < 0.25 * self._total) & (self._count > 0.5 * self.block**2)
         if not missing.any():

@@ -44,7 +44,8 @@ likely as all others together, which are equally likely: a contact has no fricti
 Coulomb's. This extra weight was chosen on rubber dragged and twisted by another solver. Intervals
 do not use it: otherwise friction as small as its noise would be outside in one of three cases."""
 UNSCALED = 1.0, 1.0, float(_SCALES[0])
-"""Scales without evidence: of slides, spins and errors beside missing returns."""
+"""Scales with which a frame begins, of slides, spins and errors beside missing returns. The latter
+begin as negligible: a contact that is seen only beside missing returns is still found."""
 
 
 class PriorScale(NamedTuple):

@@ -543,7 +543,7 @@ class GaussNewton:
             again, before = solved(found), hyper
             same_nodes, contact, hyper = np.array_equal(again.nodes, contact.nodes), again, found
             if same_nodes and hyper == before._replace(scales=hyper.scales):
-                break  # the scales of friction do not depend on those it was solved with
+                break  # the scales do not depend on those it was solved with
         return contact, hyper
 
     def _evidence(

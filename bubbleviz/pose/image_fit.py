@@ -141,9 +141,9 @@ class ImageFit:
         gain = np.linalg.solve(rest, H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
         # Model errors are the same from frame to frame: motions of the surrounding membrane, as far
-        # as the image does not show them, and all of them in directions that only it determines;
-        # its position, independent between triangles; the radius at which it leaves the object's
-        # edges, independent between squares as wide as one, as the mesh cannot follow it.
+        # as the image does not show them, and entirely in directions that only the image
+        # determines; the membrane's position, independent between triangles; the radius at which it
+        # leaves the object's edges, independent between squares as wide as a triangle.
         pulling = J[:, :6] - J[:, 6:] @ gain.T
         pulls = pulling.T * weight
         each, square = pulls * predicted.rounding[valid], predicted.square[valid]

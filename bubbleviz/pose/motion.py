@@ -65,8 +65,8 @@ START_DEVIATION = np.array([3e-3] * 3 + [np.radians(6.0)] * 3)
 SEARCH_DEVIATION = np.array([10e-3] * 3 + [np.radians(20.0)] * 3)  # the same of a searched one
 
 SEARCH_INFORMATION = np.diag(SEARCH_DEVIATION**-2.0)
-"""With that of a frame it bounds the errors that frames have in common. The initial pose does not:
-after some frames it no longer holds against them."""
+"""Information that bounds the errors which frames have in common. That of the initial pose would
+bound them too narrowly: the filter forgets it after some frames."""
 
 _VELOCITY = np.array([0.1] * 3 + [0.5] * 3)
 _ACCELERATION = np.array([0.27] * 3 + [5.5] * 3)

@@ -45,11 +45,11 @@ def test_ring_that_slips(name, depth):
 
 
 @pytest.mark.long
-def test_slip_of_a_contact_of_few_nodes_is_unknown():
+def test_slip_of_a_contact_of_few_nodes_is_told_or_unknown():
     """A ball touches a circle 11 mm across, on a mesh with edges of 3 mm; 4 mm of it stick."""
     found = slips("sphere", 0.004, STICKING + 2, 0.4)
     assert all(slip is not None and slip.share == 0.0 for slip in found[1:-1])
-    assert found[-1] is None
+    assert found[-1] is None or found[-1].share > 2.0 * found[-1].share_sigma
 
 
 def test_no_alarm_while_everything_sticks():

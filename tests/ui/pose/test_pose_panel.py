@@ -427,7 +427,7 @@ def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_sma
     assert bench.text("place") == DASH
     # the reason in numbers; a found object has at least 70 % of the patch on it
     reason = re.fullmatch(
-        r"rejected: fitness (\d+) % · rmse \d\.\d\d mm · \d+ points?", bench.text("fit")
+        r"best: fitness (\d+) % · rmse \d\.\d\d mm · \d+ points?", bench.text("fit")
     )
     assert reason is not None and int(reason[1]) < 70
     bench.choose_object("frustum")

@@ -58,7 +58,7 @@ def pose_texts(session: PoseSession, units: Units) -> dict[str, str]:
     if has_pose(pose):
         texts["place"], texts["turn"] = _place(pose.T_B_O, units), _turn(pose.T_B_O)
     if pose is not None and pose.rejected is not None:
-        texts["fit"] = f"rejected: {_stage(pose.rejected, units)}"
+        texts["fit"] = f"best: {_stage(pose.rejected, units)}"
     if pose is None or pose.stage_one is None or pose.stage_two is None:
         return texts
     texts["fit"], texts["first"] = _stage(pose.stage_two, units), _stage(pose.stage_one, units)
