@@ -402,7 +402,7 @@ def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
     alone = replace(frame, gas_pressure_pa=None)
     noise = pipeline.estimate_once(alone)
     contact = pipeline.estimate_once(replace(alone, noise=1.0))
-    # NaN, where there is no fit by noise, is no less than the half
+    # `not >=`: NaN, if the fit by noise failed, is no sign of noise
     return contact.trusted and not contact.residual_rms_m >= 0.5 * noise.residual_rms_m
 
 

@@ -115,8 +115,11 @@ class Identification:
 
         0 where λ is not known, which shows whether the membrane can have been a flat sheet.
         """
-        known = self.rubber.keys() & self.surfaces.by_unequal_m
-        changes = [self.surfaces.by_unequal_m[name] * self.rubber[name].sigma for name in known]
+        changes = [
+            field.mean_tension(self.mesh) * self.rubber[name].sigma
+            for name, field in self.surfaces.unequal.items()
+            if name in self.rubber
+        ]
         return self.gauge.value * float(np.linalg.norm(changes))
 
     @property

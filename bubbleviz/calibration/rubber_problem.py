@@ -164,7 +164,7 @@ class RubberProblem:
         # a press bends the membrane at its clamped rim
         self._slack_m = RIM_SLACK_M if pressed else None
         film, sheet = Prestress.of(mesh, 1.0), self._surfaces.flat_sheet
-        fields = film.unequal(mesh, 1.0)
+        fields = self._surfaces.unequal.values()
         self._unequal = np.stack([each.on(mesh) for each in fields])
         # an equally stretched sheet, inflated over an oval rim, is tighter across the oval
         self._of_sheet = np.zeros(2)

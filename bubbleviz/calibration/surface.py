@@ -91,8 +91,7 @@ class Surfaces:
     dimensions: dict[str, Quantity] = NOT_YET
     # stress and excess of tension of an initially flat sheet, see `as_flat_sheet`
     flat_sheet: tuple[Prestress, float] | None = None
-    # change of the mean tension under 1 Pa by unequal tensions of 1, m
-    by_unequal_m: dict[str, float] = NOT_YET
+    unequal: dict[str, Prestress] = NOT_YET  # under 1 Pa, see `Prestress.unequal`
 
     @property
     def stress_sigma(self) -> float:
@@ -329,14 +328,7 @@ def with_tension(samples: FrameSamples, surfaces: Surfaces) -> Surfaces:
             for (name, size), sigma in zip(sizes.items(), sigmas.tolist(), strict=True)
         },
         flat_sheet=sheet,
-        by_unequal_m={
-            name: field.mean_tension(surfaces.mesh)
-            for name, field in zip(
-                ("unequal_tension_x", "unequal_tension_xy"),
-                Prestress.of(surfaces.mesh, 1.0).unequal(surfaces.mesh, 1.0),
-                strict=True,
-            )
-        },
+        unequal=Prestress.of(surfaces.mesh, 1.0).unequal(surfaces.mesh, 1.0),
     )
 
 

@@ -39,11 +39,12 @@ unknowns per node, time grows with the cube of their number. Chosen."""
 
 
 _SCALES = np.geomspace(0.01, 1.0, 81)
-"""Scales of the prior, for slides and for spins. The smallest, which means no friction, is as
-likely as all others together, which are equally likely: a contact has no friction, or any share of
-Coulomb's. This extra weight was chosen on rubber dragged and twisted by another solver. Intervals
-do not use it: otherwise friction as small as its noise would be outside in one of three cases."""
-UNSCALED = 1.0, 1.0, float(_SCALES[0])
+"""Scales of a prior, of slides, spins or errors beside missing returns. The smallest, which means
+none, is as likely as all others together, which are equally likely: a contact has no friction, or
+any share of Coulomb's. This extra weight was chosen on rubber dragged and twisted by another
+solver. Intervals do not use it: otherwise friction as small as its noise would be outside in one of
+three cases."""
+INITIAL_SCALES = 1.0, 1.0, float(_SCALES[0])
 """Scales with which a frame begins, of slides, spins and errors beside missing returns. The latter
 begin as negligible: a contact that is seen only beside missing returns is still found."""
 

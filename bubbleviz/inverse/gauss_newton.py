@@ -21,7 +21,7 @@ from bubbleviz.inverse.contact_problem import (
     smoothness,
     touching_parts,
 )
-from bubbleviz.inverse.friction import UNSCALED, friction_nuisances, prior_scale
+from bubbleviz.inverse.friction import INITIAL_SCALES, friction_nuisances, prior_scale
 from bubbleviz.inverse.measurements import (
     FlowResidual,
     FrameData,
@@ -304,7 +304,7 @@ class GaussNewton:
         """
         tangent = self._rest_tangent[gas is not None]
         by_depth = replace(at_rest, border=at_rest.border[:, :0], flow=None)
-        hyper = Hyperparameters(Noise(noise), UNSCALED, image_errors or at_rest.image_prior)
+        hyper = Hyperparameters(Noise(noise), INITIAL_SCALES, image_errors or at_rest.image_prior)
         measurements, _ = self._measurements(tangent, self.rest, by_depth, gas, hyper, False, True)
         return self._problem(tangent, measurements, self.rest, gas).zero_is_optimal()
 

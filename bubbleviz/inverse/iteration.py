@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Measured, Misfit, ShapeRanges
-from bubbleviz.inverse.friction import UNSCALED, contacts_seen_by_flow
+from bubbleviz.inverse.friction import INITIAL_SCALES, contacts_seen_by_flow
 from bubbleviz.inverse.gauss_newton import (
     LARGE_MOTION,
     MAX_STEP,
@@ -80,7 +80,7 @@ class Start:
     state: State | None = None
     tangent: Tangent | None = None
     noise: Noise = AS_EXPECTED
-    scales: tuple[float, ...] = UNSCALED
+    scales: tuple[float, ...] = INITIAL_SCALES
     image_errors: ImageErrors | None = None
     view: ShapeRanges | None = None
     by_flow: Start | None = None
@@ -176,7 +176,7 @@ class Iteration:
         self._warm = bool(np.count_nonzero(state.pressure) >= fewest)
         self._state, self._view = state if self._warm else newton.rest, start.view
         self._tangent = start.tangent
-        scales = start.scales if self._warm else UNSCALED
+        scales = start.scales if self._warm else INITIAL_SCALES
         known, unknown = data.image_errors, newton.image_prior
         image_errors = unknown if known is None or start.image_errors is unknown else known
         self._hyper = Hyperparameters(start.noise, scales, image_errors)
@@ -421,7 +421,7 @@ def is_untouched(newton: GaussNewton, measured: Measured) -> bool:
         return False
     fits = newton.fits_without_contact(observed, None)
     rest_tangent = newton.tangent_at(newton.rest, None)
-    hyper = Hyperparameters(AS_EXPECTED, UNSCALED, observed.image_prior)
+    hyper = Hyperparameters(AS_EXPECTED, INITIAL_SCALES, observed.image_prior)
     step = newton.step(rest_tangent, newton.rest, observed, None, hyper, int(not fits), fits, False)
     if step is None or not step.state.balanced:
         return False

@@ -12,6 +12,7 @@ triangle when it is stretched from one stress-free triangle, which is found in c
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,18 +161,19 @@ class Prestress:
         polynomials = _polynomials(mesh, disc, STRESS_DEGREE)
         return cls(np.linalg.lstsq(weight * polynomials, weight * parts, rcond=None)[0].T)
 
-    def unequal(self, mesh: MembraneMesh, gauge_pressure_pa: float) -> list[Prestress]:
+    def unequal(self, mesh: MembraneMesh, gauge_pressure_pa: float) -> dict[str, Prestress]:
         """Fields without load that may be added to this one of a surface under a gauge pressure.
 
         The first pulls along x and pushes along y, the second is their shear, each by the mean
         tension, and only the rim holds them: a sheet stretched unequally over its rim has them.
+        By the names of their amplitudes in the sensor file.
         """
-        fields, tension = [], gauge_pressure_pa / mean_curvature(mesh)
-        for part in (1, 2):
+        fields, tension = {}, gauge_pressure_pa / mean_curvature(mesh)
+        for part, name in enumerate(("unequal_tension_x", "unequal_tension_xy"), start=1):
             near = Prestress(self.weights.copy())
             near.weights[part, 0] += tension
             balanced = Prestress.of(mesh, gauge_pressure_pa, near=near)
-            fields.append(Prestress(balanced.weights - self.weights))
+            fields[name] = Prestress(balanced.weights - self.weights)
         return fields
 
     def mean_tension(self, mesh: MembraneMesh) -> float:
@@ -180,7 +182,7 @@ class Prestress:
         tension = 0.5 * np.einsum("tij,tji->t", edges @ edges.swapaxes(1, 2), self.on(mesh))
         return float(np.average(tension, weights=mesh.facet_areas))
 
-    def plus(self, fields: list[Prestress], amplitudes: list[float]) -> Prestress:
+    def plus(self, fields: Iterable[Prestress], amplitudes: list[float]) -> Prestress:
         """The field with multiples of others of the same surface."""
         added = [a * each.weights for a, each in zip(amplitudes, fields, strict=True)]
         return Prestress(self.weights + sum(added))

@@ -94,7 +94,7 @@ def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
     if membrane.sheet_share and (sheet := as_flat_sheet(mesh)):
         stress = film.towards(sheet[0].times(gauge), membrane.sheet_share)
     unequal = [membrane.unequal_tension_x or 0.0, membrane.unequal_tension_xy or 0.0]
-    return stress.plus(film.unequal(mesh, gauge), unequal) if any(unequal) else stress
+    return stress.plus(film.unequal(mesh, gauge).values(), unequal) if any(unequal) else stress
 
 
 def build_rubber(

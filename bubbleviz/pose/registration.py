@@ -172,10 +172,10 @@ INLIER_M = 1.5e-3
 
 MODEL_ERROR_M = 2.4e-4
 """Model error of the membrane's position: of the estimate, independent between areas of the size of
-its resolution; of a press, between triangles of its mesh. Chosen when areas of the resolution stood
-for these triangles: of 0, 0.24, 0.28 and 0.4 mm the least for which ellipsoids contain at least
-93 % of true poses in each class of 280 simulated tracks. The contact determines a direction if its
-σ at the patch's edge is below the error of one area."""
+its resolution; of a press, between triangles of its mesh. Chosen with areas of the resolution for
+both: of 0, 0.24, 0.28 and 0.4 mm the least for which ellipsoids contain at least 93 % of true poses
+in each class of 280 simulated tracks. The contact determines a direction if its σ at the patch's
+edge is below the error of one area."""
 
 _PARALLEL = np.cos(np.radians(45.0))
 """Membrane that lies on a face is parallel to it, except for the blur of the estimate."""

@@ -13,6 +13,7 @@ from bubbleviz.calibration import (
     parameters,
     sentence,
 )
+from bubbleviz.membrane import Prestress
 from bubbleviz.sensor import changed
 from bubbleviz.simulation import DepthNoise, Validation
 
@@ -124,8 +125,9 @@ def test_parameters_list_their_origin_and_how_to_improve_them(ball):
 
 def test_unequal_tension_of_an_oval_is_in_the_interval_of_its_mean(ball):
     """0.1 of it, on a rim where 1 changes the mean tension by 30 %."""
-    even = ball.surfaces.tension_m.value
-    uneven = replace(ball.surfaces, by_unequal_m={"unequal_tension_x": 0.3 * even})
+    even = Prestress.of(ball.mesh, 1.0)
+    field = even.times(0.3 * ball.surfaces.tension_m.value / even.mean_tension(ball.mesh))
+    uneven = replace(ball.surfaces, unequal={"unequal_tension_x": field})
     along = Quantity.normal(0.0, 0.1, "levels")
     oval = replace(ball, surfaces=uneven, rubber={"unequal_tension_x": along})
     expected = np.hypot(ball.tension.half_width, 1.96 * 0.03 * ball.tension_n_per_m)
