@@ -64,7 +64,7 @@ def _first_login(file: str) -> dict[str, str]:
 # Diagnosis of failed connections to a Zenoh endpoint: Zenoh itself gives no reason.
 
 
-_ENDPOINT = re.compile(r"(\w+)/\[?([^\[\]]+?)\]?:(\d+)")
+_ENDPOINT = re.compile(r"(\w+)/(\[[^\[\]]+\]|[^\[\]:]+):(\d+)")
 """Protocol, host and port."""
 TIMEOUT_S = 1.0  # longest wait for an answer of the host, s; chosen
 UNTRUSTED = range(18, 22)  # OpenSSL's codes of certificates signed by no known authority
@@ -78,7 +78,7 @@ def why_no_session(
     parts = _ENDPOINT.match(endpoint)
     if parts is None or parts[1] not in ("tcp", "tls"):
         return ""
-    protocol, host, port = parts[1], parts[2], int(parts[3])
+    protocol, host, port = parts[1], parts[2].strip("[]"), int(parts[3])
     try:
         link = socket.create_connection((host, port), TIMEOUT_S)
     except OSError as error:
@@ -219,6 +219,10 @@ def make_config(options: SessionOptions) -> Any:
     Raises InputError: the endpoint is malformed, or a file of the credentials is missing.
     """
     connects = options.connect is not None
+    endpoint = options.connect or options.listen or ""
+    if endpoint.startswith(("tcp/", "tls/")) and not _ENDPOINT.match(endpoint):
+        # without a port Zenoh tries for ten seconds, and names no reason
+        raise InputError(f"{options.text}: {endpoint} names no host and port, as {ROUTER} does")
     settings: dict[str, Any] = {
         "mode": "client" if connects else "peer",
         "connect/endpoints": [options.connect] if connects else [],
@@ -261,7 +265,7 @@ def open_session(options: SessionOptions) -> Any:
 def listening_warning(options: SessionOptions) -> str:
     """Warning about a session that listens to other computers; else empty."""
     parts = _ENDPOINT.match(options.listen or "")
-    if parts is None or parts[2] == "localhost" or re.fullmatch(r"127\.[\d.]+|::1", parts[2]):
+    if parts is None or re.fullmatch(r"localhost|127\.[\d.]+|\[::1\]", parts[2]):
         return ""
     given = options.credentials
     who = "anyone who knows the login" if given.login else "anyone"
