@@ -64,6 +64,8 @@ class Identification:
     # robust rms of the changes of range from rest, and of the residuals of the rubber model, m
     change_rms_m: float = np.nan
     unexplained_rms_m: float = np.nan
+    # of a simulated press, N, as estimated with the identified sensor; None: not computable
+    reference_force: Quantity | None = None
     validation: Validation | None = None  # by a known press
 
     @property

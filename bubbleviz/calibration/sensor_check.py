@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from bubbleviz.calibration.fit_errors import height_rings, jackknife_errors, tile_errors
+from bubbleviz.calibration.reference_press import press_force, reference_press
 from bubbleviz.calibration.rubber_problem import PRESSURE_ERROR
 from bubbleviz.camera import IMAGE_ERRORS, BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
@@ -35,10 +36,8 @@ from bubbleviz.recordings import (
     temporal_correlation,
 )
 from bubbleviz.result import HALF_95
-from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import WEATHER_SIGMA_PA
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import SyntheticSource, touching_height
 from bubbleviz.wording import count_of, decimals_of, rounded
 
 CheckVerdict = Literal["fits", "drifted", "another"]
@@ -64,7 +63,6 @@ _RESHAPED = "check the camera's mounting, then identify the sensor again, untouc
 _STEP = 0.01  # of the gauge pressure, for the first secant of its pattern
 _SECANTS, _MAX_STEP = 4, 0.5  # iterations, and the largest step over the gauge pressure
 _ROBUST_ROUNDS = 3  # of weighting pixels by their distance from the median of their block
-_PRESS_DEPTH = 0.15  # over the dome's height, of the press that converts drift to force; chosen
 
 
 @dataclass(frozen=True)
@@ -431,26 +429,15 @@ def _contact_explains(pipeline: Pipeline, frame: Frame, rest: _RestComparison) -
 
 
 def _force_error(pipeline: Pipeline, rest: _RestComparison) -> tuple[float | None, float | None]:
-    """Force of a simulated press of a ball on the apex, and the change of its estimate by drift, N.
+    """Force of a simulated press, and the change of its estimate by drift, N.
 
     Both None where either cannot be computed.
     """
-    model = pipeline.model
-    mesh, ball = model.mesh, load_object("sphere")
-    top, pose = int(np.argmax(mesh.nodes[:, 2])), np.eye(4)
-    pose[:2, 3] = mesh.nodes[top, :2]
-    pose[2, 3] = touching_height(ball, pose, mesh) - _PRESS_DEPTH * mesh.nodes[top, 2]
-    try:
-        press = SyntheticSource(model, ball, pose[None])[0]
-    except (InputError, SolveError):
+    press = reference_press(pipeline)
+    if press is None:
         return None, None
-    undrifted = model.biased_depth(press.depth_m * model.camera.range_per_depth)
-    forces = []
-    for depth in (undrifted, undrifted + rest.drift_m()):
-        frame = replace(press, depth_m=depth.astype(np.float32))
-        pipeline.restart()
-        result = pipeline.process(frame, frozenset({"patch"}))
-        if result.estimate is None or result.patch is None or not result.estimate.trusted:
-            return None, None
-        forces.append(result.patch.force_n)
-    return float(np.linalg.norm(forces[0])), float(np.linalg.norm(forces[1] - forces[0]))
+    drifted = replace(press, depth_m=(press.depth_m + rest.drift_m()).astype(np.float32))
+    before, after = press_force(pipeline, press), press_force(pipeline, drifted)
+    if before is None or after is None:
+        return None, None
+    return float(np.linalg.norm(before[0])), float(np.linalg.norm(after[0] - before[0]))

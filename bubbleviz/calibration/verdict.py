@@ -14,6 +14,9 @@ Grade = Literal["good", "usable", "doubtful"]
 PressureText = Callable[[float], str]  # number and unit of a pressure in Pa
 
 _GOOD, _USABLE = 0.02, 0.05  # largest relative half-width of γ0 for each grade
+# The same for a force: √2 times the model's own ±4 %, so that the sensor file adds no more than the
+# model; and more than the ±26 % of constant tension alone, so that a sensor of unknown λ is usable
+_GOOD_FORCE, _USABLE_FORCE = 0.057, 0.3
 _MIN_VISIBLE = 0.8  # share of the dome's area; chosen
 _MIN_FRAMES = 30  # one second of most depth cameras
 _COLUMNS = "name", "value", "source", "improvement"
@@ -43,8 +46,9 @@ def pascals(pressure_pa: float) -> str:
 def grade(found: Identification) -> Grade:
     """Grade of an identification by its numbers."""
     tension = found.tension
-    relative = tension.half_width / tension.value
-    if relative > _USABLE or found.contradicts_file:
+    relative = _relative(tension)
+    force = _relative(found.reference_force)
+    if relative > _USABLE or force > _USABLE_FORCE or found.contradicts_file:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
 
@@ -53,10 +57,12 @@ def headline(found: Identification, pressure: PressureText = pascals) -> str:
     """The grade and γ0 in one line; `pressure` formats pressures."""
     tension = found.tension
     value, low, high = tension.possible().texts(2)
+    force = found.reference_force
+    forces = "" if force is None else f"; forces ±{_percent(_relative(force))}"
     return (
         f"{grade(found)}: γ0 = {value} N/m, 95 % interval {low} to {high} "
-        f"(±{_percent(tension.half_width / tension.value)}), at "
-        f"{pressure(found.gauge.value)} gauge pressure"
+        f"(±{_percent(_relative(tension))}), at {pressure(found.gauge.value)} gauge pressure"
+        f"{forces}"
     )
 
 
@@ -133,6 +139,12 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             effect = f"λ = {kept:g} in the sensor file is kept, with unknown error"
         more = _FARTHER if found.shapes_kind == "levels" else _LEVELS
         out.append(f"λ is not determined: {found.why_not}. {effect}: {more}.")
+    force = found.reference_force
+    if force is not None and _relative(force) > _GOOD_FORCE:
+        out.append(
+            f"Forces are known to ±{_percent(_relative(force))}, as of a simulated press by "
+            f"{force.source}: narrow the intervals of λ, unequal tension and gauge pressure."
+        )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:
         out.append(f"Only {frames} contact-free frames: choose or record {_MIN_FRAMES} or more.")
@@ -185,6 +197,11 @@ def _range(texts: tuple[str, ...], unit: str = "") -> str:
 def _interval(gauge: Quantity, pressure: PressureText) -> str:
     cut = gauge.possible()
     return f"{pressure(cut.value)} ({pressure(cut.low)} to {pressure(cut.high)})"
+
+
+def _relative(of: Quantity | None) -> float:
+    """Half of the 95 % interval over the value; 0 if there is none."""
+    return 0.0 if of is None else of.half_width / of.value
 
 
 def _percent(share: float) -> str:

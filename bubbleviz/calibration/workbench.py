@@ -188,8 +188,10 @@ class Workbench:
         fitted = self._cached(
             "rubber",
             replace(settings, obj="", pose="", pressed=None),
-            lambda: with_rubber(
-                plain, [each.samples for each in every], press.result(), settings.level_sigma_pa
+            lambda: _with_force(
+                with_rubber(
+                    plain, [each.samples for each in every], press.result(), settings.level_sigma_pa
+                )
             ),
         )
         if (pressed := settings.pressed) is None:
@@ -245,6 +247,13 @@ class Workbench:
                 results.popitem(last=False)
         results.move_to_end(inputs)
         return results[inputs]  # type: ignore[return-value]
+
+
+def _with_force(found: Identification) -> Identification:
+    # not at the window's start
+    from bubbleviz.calibration.reference_press import reference_force
+
+    return replace(found, reference_force=reference_force(found.model))
 
 
 def _with_pixels(

@@ -291,6 +291,9 @@ def test_force_without_gas_pressure_is_as_uncertain_as_the_gauge_pressure(sigma_
     )
     assert estimate.force_n[2] == pytest.approx(0.5 * truth[2], rel=0.05)
     assert held == ((sigma_pa is None,) * 2)
+    told = found.reference_force
+    of_press = estimate.force_half_width_n / np.linalg.norm(estimate.force_n)
+    assert told.half_width / told.value == pytest.approx(of_press, rel=0.1)
     assert (grade(found) == "doubtful") is (sigma_pa is None)
     (said,) = (line for line in advice(found) if "Not every contact-free frame" in line)
     assert "gauge_sigma_pa" in said and "every force" in said

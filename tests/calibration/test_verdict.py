@@ -33,7 +33,8 @@ def ball():
     found = identified(sphere(0, NOISE, frames=20, scale=0.35))
     gas = np.full(20, 1e5 + found.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
-    return gauged(with_seen_share(replace(found, samples=samples), 1.0), 1.0)
+    found = replace(found, samples=samples, reference_force=None)
+    return gauged(with_seen_share(found, 1.0), 1.0)
 
 
 def with_tension(found, relative, **changes):
@@ -109,6 +110,18 @@ def test_warning_appears_beyond_its_limit(ball, change, said):
     assert grade(found) == ("usable" if said else "good")
     if said:
         assert said in advice(found)[1]
+
+
+@pytest.mark.parametrize(
+    ("relative", "expected"),
+    [(0.055, "good"), (0.06, "usable"), (0.29, "usable"), (0.31, "doubtful")],
+)
+def test_grade_follows_the_interval_of_a_force_too(ball, relative, expected):
+    force = Quantity(2.0, 2.0 - 2.0 * relative, 2.0 + 2.0 * relative, "4 mm")
+    found = replace(in_frames(ball, 30), reference_force=force)
+    assert grade(found) == expected
+    assert headline(found).endswith(f"; forces ±{100 * relative:.2g} %")
+    assert any("by 4 mm" in line for line in advice(found)) is (expected != "good")
 
 
 def test_parameters_list_their_origin_and_how_to_improve_them(ball):
