@@ -142,8 +142,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     force = found.reference_force
     if force is not None and _relative(force) > _GOOD_FORCE:
         out.append(
-            f"Forces are known to ±{_percent(_relative(force))}, as of a simulated press by "
-            f"{force.source}: narrow the intervals of λ, unequal tension and gauge pressure."
+            f"The force of a simulated press of {force.source} is known to "
+            f"±{_percent(_relative(force))}: narrow the widest of the intervals below."
         )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:

@@ -121,7 +121,7 @@ def test_grade_follows_the_interval_of_a_force_too(ball, relative, expected):
     found = replace(in_frames(ball, 30), reference_force=force)
     assert grade(found) == expected
     assert headline(found).endswith(f"; forces ±{100 * relative:.2g} %")
-    assert any("by 4 mm" in line for line in advice(found)) is (expected != "good")
+    assert any("press of 4 mm" in line for line in advice(found)) is (expected != "good")
 
 
 def test_parameters_list_their_origin_and_how_to_improve_them(ball):
