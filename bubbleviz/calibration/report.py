@@ -163,6 +163,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "tension_parts_n_per_m": found.tension_parts,
         "tension_by_surface_n_per_m": found.tension_by_surface,
         "tension_per_pascal_m": surfaces.tension_m.value,
+        "reference_force_n": found.reference_force and asdict(found.reference_force),
         "validation": _validation(found),
         "rectification": _rectification(found),
         "rubber": _rubber(found),
