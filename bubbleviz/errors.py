@@ -69,13 +69,10 @@ def check_number(
         raise InputError(f"{option} {value}: give a {kind} number {limits}")
 
 
-def check_seconds(option: str, seconds: float | None, least_s: float = 0.0) -> None:
-    """Refuse what is neither None, for no limit, nor a time of `least_s` or more.
-
-    Raises InputError.
-    """
-    if seconds is not None:
-        check_number(option, seconds, least_s)
+def check_given(option: str, value: object, *limits: float, whole: bool = False) -> None:
+    """As `check_number`, for an option that may be None. Raises InputError."""
+    if value is not None:
+        check_number(option, value, *limits, whole=whole)
 
 
 def check_choice(option: str, value: object, choices: Iterable[object]) -> None:

@@ -21,7 +21,7 @@ import bubbleviz
 from bubbleviz.api.estimating import estimate
 from bubbleviz.api.frames import open
 from bubbleviz.api.summary import Summary
-from bubbleviz.errors import InputError, SolveError, check_number
+from bubbleviz.errors import InputError, SolveError, check_given
 from bubbleviz.files import (
     cannot_write,
     file_hash,
@@ -221,8 +221,7 @@ def batch(
         No recordings, no such sensor or cluster, or `out` cannot be used. Problems of single
         recordings are in their rows.
     """
-    if jobs is not None:
-        check_number("--jobs", jobs, 1, whole=True)
+    check_given("--jobs", jobs, 1, whole=True)
     if jobs is not None and scheduler is not None:
         raise InputError("--jobs counts processes on this machine; leave it out with --scheduler")
     found, out = find_recordings(folder), Path(out)
@@ -241,7 +240,7 @@ def batch(
     rows: dict[str, BatchRow] = {}
     with _locked(out, all_jobs, scheduler is None):
         running = (
-            run_in_processes(all_jobs, min(jobs or _processors(), len(all_jobs)))
+            run_in_processes(all_jobs, jobs or _processors())
             if scheduler is None
             else _run_on_cluster(all_jobs, scheduler)
         )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bubbleviz.api.frames import RecordingInfo, info
-from bubbleviz.errors import InputError, check_number
+from bubbleviz.errors import InputError, check_given
 from bubbleviz.files import refuse_existing, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
@@ -78,10 +78,8 @@ def convert(
     InputError
         An input cannot be read or does not match the others, or `out` exists; nothing is written.
     """
-    if rate_hz is not None:
-        check_number("--rate", rate_hz, 0.01, 1e4)
-    if metres_per_unit is not None:
-        check_number("--metres-per-unit", metres_per_unit, 1e-6, 1.0)
+    check_given("--rate", rate_hz, 0.01, 1e4)
+    check_given("--metres-per-unit", metres_per_unit, 1e-6, 1.0)
     refuse_input(out, source)
     refuse_existing(out, ".mcap", "", overwrite=overwrite)
     source = Path(source)

@@ -22,7 +22,7 @@ from bubbleviz.api.frame_warnings import NO_FRAME_FITS
 from bubbleviz.api.frames import Frames, open
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
-from bubbleviz.errors import InputError, check_seconds, given_path
+from bubbleviz.errors import InputError, check_given, given_path
 from bubbleviz.files import pose_numbers, refuse_existing, refuse_input
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
@@ -418,7 +418,7 @@ def _watched(
         )
     own = stream.sensor if str(sensor) == AUTO else load_sensor(sensor)
     patience_s = stream.timeout_s if isinstance(timeout_s, EllipsisType) else timeout_s
-    check_seconds("timeout_s", patience_s)
+    check_given("timeout_s", patience_s, 0.0)
     return Watcher.on(stream, own, **options).results(patience_s)
 
 

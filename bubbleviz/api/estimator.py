@@ -16,7 +16,7 @@ from bubbleviz.api.frame_warnings import FrameWarnings
 from bubbleviz.api.frames import Frames
 from bubbleviz.api.results import FrameResult, OneBlasThread
 from bubbleviz.camera import ColourCamera, ColourImage, EncodedImage, Intrinsics
-from bubbleviz.errors import InputError, check_number
+from bubbleviz.errors import InputError, check_given
 from bubbleviz.files import checked_pose, parse_pose
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product
@@ -288,8 +288,7 @@ def given_pose(init: str | np.ndarray | None) -> np.ndarray | None:
 
 def patch_options(kappa: float | None) -> FrameOptions:
     """Options with a patch threshold. Raises InputError: it is not a number ≥ 0."""
-    if kappa is not None:
-        check_number("--kappa", kappa, 0.0)
+    check_given("--kappa", kappa, 0.0)
     return FrameOptions(kappa, fine_contact=kappa is None)
 
 

@@ -23,7 +23,7 @@ from bubbleviz.calibration import (
     sentence,
     write_sensor,
 )
-from bubbleviz.errors import InputError, check_choice, check_number, check_type
+from bubbleviz.errors import InputError, check_choice, check_given, check_number, check_type
 from bubbleviz.files import parse_pose, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import CachedFrames, FrameSource
@@ -234,8 +234,7 @@ def identify(
     levels = (levels,) if isinstance(levels, str | Path | Frames) else tuple(levels)
     check_choice("--surface", surface, (None, *SURFACE_NAMES))
     check_number("--nodes", nodes, 30, 20_000, whole=True)
-    if level_sigma is not None:
-        check_number("--level-sigma", level_sigma, 0.0)
+    check_given("--level-sigma", level_sigma, 0.0)
     if out is not None:  # fail before the computation
         files = output_files(out, None if report is None else Path(report), overwrite=overwrite)
         for each in files:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from tqdm import tqdm
 
 from bubbleviz.api.summary import Summary
-from bubbleviz.errors import InputError, check_number, check_seconds
+from bubbleviz.errors import InputError, check_given, check_number
 from bubbleviz.files import SYNTHETIC_SENSOR, refuse_existing, refuse_input, restore_on_error
 from bubbleviz.live import LiveStream, Recorder, RecorderStatus, open_stream
 from bubbleviz.recordings import AUTO, Message
@@ -94,7 +94,7 @@ def record(
     InputError
         The source or the file cannot be opened, nothing arrived, or writing failed.
     """
-    check_seconds("--duration", duration_s, 1e-3)
+    check_given("--duration", duration_s, 1e-3)
     stream = open_stream(source, _simulated(sensor), any_size=True)
     recorder = Recorder()
     recorder.listen_to(stream)
@@ -228,7 +228,7 @@ def publish(
         The source cannot be opened, the address cannot be bound, no router answers, or there is no
         such domain; or `wait` is given and the topics of the source are unknown before it starts.
     """
-    check_seconds("--duration", duration_s, 1e-3)
+    check_given("--duration", duration_s, 1e-3)
     check_number("--domain", domain, 0, 232, whole=True)
     sent: Counter[str] = Counter()
     live = open_stream(source, _simulated(sensor), any_size=True).source

@@ -23,7 +23,7 @@ from bubbleviz.api.recording import replacing, stopped_by_signals, zenoh_publish
 from bubbleviz.api.results import FrameResult
 from bubbleviz.api.summary import Summary
 from bubbleviz.diagnostics import shear_line
-from bubbleviz.errors import InputError, check_seconds
+from bubbleviz.errors import InputError, check_given
 from bubbleviz.live import (
     STOPPED_AFTER_S,
     LatencyMeter,
@@ -220,7 +220,7 @@ def watch(
     InputError
         The source, the file or the endpoint cannot be opened, or no depth image arrived.
     """
-    check_seconds("--duration", duration_s, 1e-3)
+    check_given("--duration", duration_s, 1e-3)
     unused = next((name for name, file in credentials.items() if file is not None), None)
     if unused is not None and listen is None and connect is None:
         raise InputError(

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from bubbleviz.camera import DepthCamera
-from bubbleviz.errors import check_seconds
+from bubbleviz.errors import check_given
 from bubbleviz.files import (
     SYNTHETIC_SENSOR,
     checked,
@@ -62,7 +62,7 @@ def open_stream(
 
     Raises InputError: the source is not well-formed, or does not exist.
     """
-    check_seconds("timeout_s", timeout_s)
+    check_given("timeout_s", timeout_s, 0.0)
     uri = parse_uri(text)
     options = uri.options
     chosen = {"depth", "info", "pressure", "wrench", "colour", "prefix"}
