@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -62,40 +63,46 @@ class FrameWarnings:
 
     def texts(self, where: str) -> list[str]:
         """Warnings about the frames so far; `where` they are from: recording or source."""
-        found = (
-            self._sensor_warning(where),
-            self._fit_warning(),
-            self._noise_warning(),
-            self._drift_warning(),
-            self._friction_warning(),
-            self._edge_warning(),
-            self._colour_warning(),
-        )
-        return [text for text in found if text]
+        return [text for text in self._found(where) if text]
 
-    def _fit_warning(self) -> str:
-        """Warning if nothing shows that the sensor file fits, and frames contradict it."""
+    def _found(self, where: str) -> Iterator[str]:
+        yield self._sensor_warning(where)
         misfits = self._statuses["implausible"]
-        if not misfits or self._statuses["no_contact"]:
-            return ""
-        if misfits == self._statuses.total():
-            return NO_FRAME_FITS
-        return (
-            f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free frame "
-            "confirms the file, so forces in the other frames may be wrong: run bubbleviz check "
-            "with contact-free frames"
-        )
-
-    def _noise_warning(self) -> str:
-        """Warning if the noise weakens the evidence of contact; else empty."""
-        noise = self._zeros.image.noise
-        if noise <= UPPER_95:
-            return ""
-        return (
-            f"depth averaged over neighbouring pixels has {noise:.1f} times the noise of the "
-            "sensor file (it is larger, or correlated), so light contacts may not be found: "
-            "identify the sensor again, or turn off spatial filters of the camera"
-        )
+        if misfits and misfits == self._statuses.total():
+            yield NO_FRAME_FITS
+        elif misfits and not self._statuses["no_contact"]:
+            yield (
+                f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free "
+                "frame confirms the file, so forces in the other frames may be wrong: run "
+                "bubbleviz check with contact-free frames"
+            )
+        if (noise := self._zeros.image.noise) > UPPER_95:  # which weakens the evidence of contact
+            yield (
+                f"depth averaged over neighbouring pixels has {noise:.1f} times the noise of the "
+                "sensor file (it is larger, or correlated), so light contacts may not be found: "
+                "identify the sensor again, or turn off spatial filters of the camera"
+            )
+        yield self._drift_warning()
+        if self._frames_over:
+            yield (
+                f"friction in {count_of(self._frames_over, 'frame')} is at least "
+                f"{self._most_friction:.2g} of the normal force, more than the expected "
+                f"coefficient of {self._pipeline.options.friction:.2g}, so the estimate of "
+                "friction is too small: repeat with a larger --friction"
+            )
+        if self._partly_seen:
+            yield (
+                "the camera sees only a part of the contact in "
+                f"{count_of(self._partly_seen, 'frame')} (at least {100 * self._least_seen:.0f} % "
+                "of its area); the force on the unseen part is inferred from the membrane around "
+                "it and less certain. Press nearer to the middle of the image"
+            )
+        if self._by_depth_only:
+            yield (
+                f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
+                "solved by depth alone; their stamps may be of different moments. Give "
+                "--colour-delay"
+            )
 
     def _drift_warning(self) -> str:
         """Warning if depth images drift; else empty.
@@ -137,37 +144,6 @@ class FrameWarnings:
         return (
             f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
             f"are corrected for drift. {remedy}"
-        )
-
-    def _friction_warning(self) -> str:
-        """Warning if friction exceeds the expected coefficient beyond its interval; else empty."""
-        if not self._frames_over:
-            return ""
-        return (
-            f"friction in {count_of(self._frames_over, 'frame')} is at least "
-            f"{self._most_friction:.2g} of the normal force, more than the expected coefficient of "
-            f"{self._pipeline.options.friction:.2g}, so the estimate of friction is too small: "
-            "repeat with a larger --friction"
-        )
-
-    def _edge_warning(self) -> str:
-        """Warning if contacts reach the edge of the image, or of a hole in it; else empty."""
-        if not self._partly_seen:
-            return ""
-        return (
-            f"the camera sees only a part of the contact in {count_of(self._partly_seen, 'frame')} "
-            f"(at least {100 * self._least_seen:.0f} % of its area); the force on the unseen part "
-            "is inferred from the membrane around it and less certain. Press nearer to the middle "
-            "of the image"
-        )
-
-    def _colour_warning(self) -> str:
-        """Warning if colour contradicts depth; else empty."""
-        if not self._by_depth_only:
-            return ""
-        return (
-            f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
-            "solved by depth alone; their stamps may be of different moments. Give --colour-delay"
         )
 
     def _sensor_warning(self, where: str) -> str:
