@@ -59,7 +59,6 @@ from .frame import (
     shown_name as shown_name,
     usual_step as usual_step,
 )
-from .frame_colour import FrameColour as FrameColour, Texture as Texture, placed as placed
 from .image_folder import (
     INTRINSICS as INTRINSICS,
     ImageFolder as ImageFolder,
@@ -96,7 +95,13 @@ from .message_encoding import (
     ros2_types as ros2_types,
     serialise as serialise,
 )
-from .recorded_colour import ColourAround as ColourAround, half_step_ns as half_step_ns
+from .recorded_colour import (
+    ColourAround as ColourAround,
+    FrameColour as FrameColour,
+    Texture as Texture,
+    half_step_ns as half_step_ns,
+    placed as placed,
+)
 from .recording import (
     Recording as Recording,
     force_of as force_of,
