@@ -36,6 +36,7 @@ from .observer import (
     ShapeRanges as ShapeRanges,
     facet_error as facet_error,
     median as median,
+    row_median as row_median,
 )
 from .pixel_model import (
     PixelModel as PixelModel,

@@ -501,13 +501,13 @@ class RangeObserver:
         residual_m, root = used.residuals(depth_m), np.sqrt(used.precision)
         of_block = np.full((self.blocks, int(self._count.max())), np.nan, np.float32)
         of_block[used.block, place] = residual_m
-        middle_m = _row_median(of_block)
+        middle_m = row_median(of_block)
         row, column = np.divmod(self.block_number, self.columns)
         image = np.full((row.max() + 1 + 2 * _AROUND, self.columns + 2 * _AROUND), np.nan)
         image[row + _AROUND, column + _AROUND] = middle_m
         side = 2 * _AROUND + 1
         around = np.lib.stride_tricks.sliding_window_view(image, (side, side))[row, column]
-        around_m = _row_median(around.reshape(-1, side**2))
+        around_m = row_median(around.reshape(-1, side**2))
         far = np.abs(middle_m - around_m) > side * self.mesh.edge_length
         lone = np.abs(residual_m - middle_m[used.block]) * root > self._limit(root, noise)
         kept = depth_m.copy()
@@ -580,7 +580,7 @@ class RangeObserver:
         return ShapeRanges(hits.ray, model, jacobian, hits, cast_at, nodes)
 
 
-def _row_median(values: np.ndarray) -> np.ndarray:
+def row_median(values: np.ndarray) -> np.ndarray:
     """Median (b,) of each row of values (b, k), some NaN; half may be outliers."""
     ordered = np.sort(values, axis=1)  # NaN last
     count = np.count_nonzero(~np.isnan(ordered), axis=1)
@@ -591,7 +591,7 @@ def _row_median(values: np.ndarray) -> np.ndarray:
 
 def _from_median(values: np.ndarray) -> np.ndarray:
     """Distances of values (b, k), some NaN, from the median of their row."""
-    distance: np.ndarray = np.abs(values - _row_median(values)[:, None])
+    distance: np.ndarray = np.abs(values - row_median(values)[:, None])
     return distance
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bubbleviz.camera import DepthCamera, MembraneView
 from bubbleviz.inverse import Component, areas_above, components, mean_pressure
-from bubbleviz.membrane import MembraneMesh, faces_from
+from bubbleviz.membrane import MembraneMesh, faces_from, level_line
 from bubbleviz.recordings import FrameColour
 from bubbleviz.result import Estimate, Result
 
@@ -247,9 +247,13 @@ class Probe:
             inside = value(patch.level) > 0.0 if mask is None or not pixel else bool(mask[pixel])
         if (trusted := result.trusted_estimate) is not None:
             displacement, pressure = trusted.displacement_m, trusted.contact_pressure_pa
+        point = np.full(3, np.nan)
+        if pixel:
+            index = np.ravel_multi_index(pixel, result.frame.depth_m.shape)
+            point = self._camera.points(result.frame.depth_m, np.array([index]))[0]
         return Probed(
             pixel=pixel,
-            point_m=self._point(pixel, result) if pixel else np.full(3, np.nan),
+            point_m=point,
             depth_m=float(result.frame.depth_m[pixel]) if pixel else np.nan,
             nodes=nodes,
             barycentric=barycentric,
@@ -260,12 +264,6 @@ class Probe:
             residual_m=_residual(pixel, result) if pixel else np.nan,
             in_patch=inside,
         )
-
-    def _point(self, pixel: Pixel, result: Result) -> np.ndarray:
-        """Measured point of a pixel in B, (3,), m."""
-        depth = result.frame.depth_m
-        index = np.array([pixel[0] * depth.shape[1] + pixel[1]])
-        return self._camera.points(depth, index)[0]
 
     def _projected(self, point_m: np.ndarray) -> tuple[float, float]:
         """Row and column of the projection of a point in B."""
@@ -332,16 +330,12 @@ def _section(
 
     From 0 to the length, with both ends where the surface reaches them.
     """
-    i, j = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     off = (nodes_m - start_m) @ np.array([-e[1], e[0], 0.0])
-    crossing = (off[i] > 0.0) != (off[j] > 0.0)
-    i, j = i[crossing], j[crossing]
-    share = off[i] / (off[i] - off[j])
-    points = nodes_m[i] + share[:, None] * (nodes_m[j] - nodes_m[i])
-    value = values[i] + share * (values[j] - values[i])
-    along = (points - start_m) @ e
+    both = np.column_stack([nodes_m, values])
+    found = level_line(both, triangles.T, off).reshape(-1, 4)
+    along = (found[:, :3] - start_m) @ e
     order = np.argsort(along)
-    along, height, value = along[order], points[order, 2], value[order]
+    along, (height, value) = along[order], found[order, 2:].T
     if not len(along):
         return along, height, value
     at = np.unique(np.clip(along, 0.0, length_m))

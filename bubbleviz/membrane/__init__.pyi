@@ -29,6 +29,7 @@ from .mesh import (
     grown as grown,
     level_line as level_line,
     parts_with as parts_with,
+    sums_at as sums_at,
     triangles_across as triangles_across,
 )
 from .meshing import (

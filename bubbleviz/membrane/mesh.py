@@ -239,12 +239,12 @@ def dense_part(matrix: sparse.csr_array, nodes: np.ndarray) -> np.ndarray:
 
 
 def level_line(
-    points: np.ndarray,  # (n, 3)
+    points: np.ndarray,  # (n, d), positions, or these with other fields
     corners: np.ndarray,  # (3, m) int, triangles by corner
     field: np.ndarray,  # (n,), linear on each triangle
     level: float = 0.0,
 ) -> np.ndarray:
-    """Straight pieces of the line, one in each triangle that it crosses, (k, 2, 3)."""
+    """Straight pieces of the line, one in each triangle that it crosses, (k, 2, d)."""
     above = field - level
     inside = (above > 0.0).take(corners)
     count = inside.sum(axis=0)
@@ -253,7 +253,7 @@ def level_line(
     alone = np.argmax(inside[:, cut] == (count[cut] == 1), axis=0)
     a, b, c = (corners[(alone + k) % 3, cut] for k in range(3))
     start, height = points.take(a, axis=0), above[a]
-    pieces = np.empty((len(cut), 2, 3))
+    pieces = np.empty((len(cut), 2, points.shape[1]))
     for end, k in enumerate((b, c)):
         share = height / (height - above[k])
         pieces[:, end] = start + share[:, None] * (points.take(k, axis=0) - start)

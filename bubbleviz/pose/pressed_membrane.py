@@ -29,6 +29,7 @@ from bubbleviz.membrane import (
     TriangleScene,
     cross,
     midway,
+    sums_at,
 )
 from bubbleviz.pose.motion import motion_between, rows
 from bubbleviz.pose.registration import ContactPoints, directions, spins
@@ -156,12 +157,14 @@ class Touching:
     def push(self, count: int) -> np.ndarray:
         """Forces on the nodes (count, 3)."""
         forces = self.force_n[:, None] * self.normals
-        return _sum_at_nodes(self.corners, self.weights[:, :, None] * forces[:, None], count)
+        shares = self.weights[:, :, None] * forces[:, None]
+        return sums_at(self.corners.ravel(), shares.reshape(-1, 3), count)
 
     def pulled_along(self, motions: np.ndarray, count: int) -> np.ndarray:
         """Change of the forces on the nodes (count, 3) as the points move by motions (c, 3)."""
         shares = np.einsum("caj,cj->ca", self.slopes_n_per_m, motions)
-        return _sum_at_nodes(self.corners, shares[:, :, None] * self.normals[:, None], count)
+        pulls = shares[:, :, None] * self.normals[:, None]
+        return sums_at(self.corners.ravel(), pulls.reshape(-1, 3), count)
 
     def stiffness(self) -> np.ndarray:
         """Stiffness (c, 9, 9) of the contacts by motions of their corners; not symmetric."""
@@ -219,7 +222,7 @@ class ObjectContact:
             close = np.zeros(1, int)  # any one, as a placeholder: it is too far away to touch
         found = TriangleScene(x, triangles).closest(points[close])
         corners, weights = triangles[found.triangle], found.barycentric
-        smooth = _sum_at_nodes(triangles, np.repeat(vectors[:, None], 3, axis=1), len(x))
+        smooth = sums_at(triangles.ravel(), np.repeat(vectors, 3, axis=0), len(x))
         smooth = np.einsum("ci,cij->cj", weights, smooth[corners])
         smooth /= np.linalg.norm(smooth, axis=1, keepdims=True)
         normals = self._normals[close] @ R.T
@@ -285,13 +288,6 @@ def _gradients(places: np.ndarray) -> np.ndarray:
     vectors = cross(opposite[:, 2], -opposite[:, 1])
     scaled = vectors / np.einsum("ij,ij->i", vectors, vectors)[:, None]
     return np.stack([cross(scaled, opposite[:, corner]) for corner in range(3)], axis=1)
-
-
-def _sum_at_nodes(corners: np.ndarray, shares: np.ndarray, count: int) -> np.ndarray:
-    """Sums (count, 3) at the nodes of values (c, 3, 3) at corners (c, 3)."""
-    flat = corners.ravel()
-    sums = [np.bincount(flat, shares[:, :, i].ravel(), minlength=count) for i in range(3)]
-    return np.stack(sums, axis=1)
 
 
 @dataclass(frozen=True)

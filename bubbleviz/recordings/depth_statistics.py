@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
+from bubbleviz.camera import row_median
 from bubbleviz.errors import InputError
 from bubbleviz.wording import width_by_height
 
@@ -343,10 +344,10 @@ def _clipped_moments(
     """
     samples = np.ascontiguousarray(depth.T)  # numpy sorts contiguous samples five times as fast
     counts = np.isfinite(samples).sum(axis=1)
-    median = _median(samples, counts)
+    median = row_median(samples)
     deviations = samples - median[:, None]
     size = np.abs(deviations)
-    limit = _CLIP_SIGMA * np.maximum(MAD_TO_SIGMA * _median(size, counts), quantum)
+    limit = _CLIP_SIGMA * np.maximum(MAD_TO_SIGMA * row_median(size), quantum)
     kept = size <= limit[:, None]
     number = np.maximum(kept.sum(axis=1), 1)
     shift = np.sum(np.where(kept, deviations, np.float32(0.0)), axis=1, dtype=np.float64) / number
@@ -357,12 +358,3 @@ def _clipped_moments(
     mean = np.where(counts > 0, median.astype(np.float64) + shift, np.nan)
     spread = np.where(counts > 0, np.sqrt(variance), np.nan)
     return counts / len(depth), mean, spread, np.ascontiguousarray(deviations.T)
-
-
-def _median(samples: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Median of the finite ones of each row (NaN sorts last), float32."""
-    ordered = np.sort(samples, axis=1)
-    low = np.maximum(counts - 1, 0) // 2
-    high = np.minimum(counts // 2, samples.shape[1] - 1)
-    rows = np.arange(len(samples))
-    return 0.5 * (ordered[rows, low] + ordered[rows, high])
