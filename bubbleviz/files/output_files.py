@@ -51,7 +51,9 @@ def whole_file(path: str | Path, *suffixes: str, overwrite: bool = False) -> Ite
     temporary = _hidden(path, f"{_computer()}-{os.getpid()}-{secrets.token_hex(4)}")
     try:
         yield temporary
-        _sync(temporary)
+        # before the rename, so that a crash leaves no half
+        for each in (*temporary.rglob("*"), temporary):
+            sync(each)
         with restore_on_error(path) if overwrite and temporary.is_dir() else nullcontext():
             _publish(temporary, path, overwrite=overwrite)
         sync(path.parent)
@@ -191,12 +193,6 @@ def _is_dead(computer: str, pid: str) -> bool:
     except OSError:  # another user's
         pass
     return False
-
-
-def _sync(path: Path) -> None:
-    """Flush a file, or all files of a folder, before the rename, so that a crash leaves no half."""
-    for each in (*path.rglob("*"), path) if path.is_dir() else (path,):
-        sync(each)
 
 
 def sync(path: Path) -> None:

@@ -239,13 +239,13 @@ class ForwardModel:
 
     def solve(self, gap_m: np.ndarray) -> Contact:
         """Equilibrium under given bounds g (n,) on the displacement, m."""
-        state = self._solver.solve(gap_m[self.mesh.free], self._gas_rule, self._active)
+
+        def rule(volume: float, slope: float) -> float:  # at which gas law and membrane agree
+            return self.gas.at(volume, max(slope, 0.0) / self.tension)[0] / self.tension
+
+        state = self._solver.solve(gap_m[self.mesh.free], rule, self._active)
         self._active = state.active if state.converged else None
         return self._certified(state, gap_m)
-
-    def _gas_rule(self, volume: float, slope: float) -> float:
-        """Pressure over γ0 at which gas law and membrane agree."""
-        return self.gas.at(volume, max(slope, 0.0) / self.tension)[0] / self.tension
 
     def _certified(self, state: Obstacle, gap_m: np.ndarray) -> Contact:
         """Fields of all nodes, and residuals computed from them."""

@@ -207,7 +207,8 @@ def _rings(cap: EllipsoidalCap, nodes: int) -> list[np.ndarray]:
     # The same area for every node: closer together where the rings are far apart.
     weights = steps * (meridians[-1, 1:] + meridians[-1, :-1])
     weights[-1] = steps[-1]
-    sizes = _ring_sizes(steps.sum(axis=1), nodes)
+    lengths = steps.sum(axis=1)
+    sizes = np.maximum(np.rint(lengths * ((nodes - 1) / lengths.sum())).astype(int), 3)
     golden = 0.6180339887498949 * np.arange(count) % 1.0  # no seam where every ring starts
     golden[-1] = 0.0
     rings = [np.zeros((1, 2))]
@@ -235,12 +236,6 @@ def _edge_length(area: float, rim_length: float, nodes: int) -> float:
     # nodes = area / (√3/2 d²) + rim/(2 d): a rim node owns half a cell
     linear, constant = 0.5 * rim_length, area / (0.5 * np.sqrt(3.0))
     return float((linear + np.sqrt(linear**2 + 4.0 * nodes * constant)) / (2.0 * nodes))
-
-
-def _ring_sizes(lengths: np.ndarray, nodes: int) -> np.ndarray:
-    """Nodes on each ring, in proportion to its length, adding up to nearly `nodes` − 1."""
-    density = (nodes - 1) / lengths.sum()
-    return np.maximum(np.rint(lengths * density).astype(int), 3)
 
 
 def _counter_clockwise(plane: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -86,6 +86,7 @@ def summary_row(result: Result) -> dict[str, Any]:
     """
     estimate, patch = result.solution
     sigma, gas_pa = estimate.force_sigma_n, result.frame.gas_pressure_pa
+    covariance = estimate.wrench_covariance
     row: dict[str, Any] = {
         "frame": result.frame.index,
         "time_s": result.frame.time_s,
@@ -113,17 +114,12 @@ def summary_row(result: Result) -> dict[str, Any]:
         "iterations": estimate.iterations,
         "images": result.frame.images,
         "stamp_ns": result.frame.stamp_ns,
-        _COVARIANCE: _known_covariance(estimate),
+        _COVARIANCE: np.full((6, 6), np.nan) if covariance is None else covariance,
     }
     if not estimate.trusted:
         for key in row.keys() & {*COLUMNS, _COVARIANCE} - _KNOWN_WITHOUT_DATA:
             row[key] = np.full(np.shape(row[key]), np.nan)
     return row | _shear_row(result, row)
-
-
-def _known_covariance(estimate: Estimate) -> np.ndarray:
-    covariance = estimate.wrench_covariance
-    return np.full((6, 6), np.nan) if covariance is None else covariance
 
 
 def _shear_row(result: Result, row: dict[str, Any]) -> dict[str, Any]:

@@ -94,18 +94,14 @@ class TableExporter(Exporter):
     ) -> None:
         self._path, self._write, self._table = path, write, FrameTable(sensor)
         columns = next(iter(poses.values()), {})
-        self._poses, self._no_pose = poses, {name: _unknown(v) for name, v in columns.items()}
+        unknown = {k: "" if isinstance(v, str) else np.nan for k, v in columns.items()}
+        self._poses, self._no_pose = poses, unknown
 
     def add(self, result: Result) -> None:
         self._table.add(result, self._poses.get(result.frame.index, self._no_pose))
 
     def finish(self) -> None:
         self._write(self._table.columns(), self._path)
-
-
-def _unknown(value: Any) -> Any:
-    """Placeholder for an unknown value of the same type."""
-    return "" if isinstance(value, str) else np.nan
 
 
 def write_csv(table: Table, path: Path) -> None:

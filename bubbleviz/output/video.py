@@ -47,7 +47,8 @@ class Mp4Writer:
         """
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
             raise ValueError(f"a picture is (H, W, 3) uint8, not {picture.shape} {picture.dtype}")
-        even = np.ascontiguousarray(_even(picture))
+        odd = [(0, side % 2) for side in picture.shape[:2]]
+        even = np.ascontiguousarray(np.pad(picture, (*odd, (0, 0)), mode="edge"))
         if self._encoder is None:
             self._shape, self._encoder = picture.shape, self._started(even)
         elif picture.shape != self._shape:
@@ -132,8 +133,3 @@ def open_mp4(
             writer.abandon()
             raise
         writer.finish()
-
-
-def _even(picture: np.ndarray) -> np.ndarray:
-    height, width = picture.shape[:2]
-    return np.pad(picture, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")

@@ -70,8 +70,11 @@ class PipelineProcess:
         if not self._is_ready() or not products <= DEPTH_PRODUCTS:
             return self._process_here(frame, products, options)
         small = replace(frame, intrinsics=None, find_colour=None)
-        outcome = self._call(small, products, options)
-        if outcome.kind != "returned":
+        self._busy_since_s = time.monotonic()
+        self._worker.send(_solved, small, products, options)
+        outcome = self._worker.outcome()
+        self._busy_since_s = None
+        if not self._returned(outcome):
             return self._process_here(frame, products, options)  # raises the same exception
         result: Result = outcome.value
         self._pipeline.counts.update(result.times_ms.keys())
@@ -115,14 +118,6 @@ class PipelineProcess:
             self._watchdog = Thread(target=self._watch, name="solver watchdog", daemon=True)
             self._watchdog.start()
         return self._ready
-
-    def _call(self, *args: object) -> Outcome:
-        self._busy_since_s = time.monotonic()
-        self._worker.send(_solved, *args)
-        outcome = self._worker.outcome()
-        self._busy_since_s = None
-        self._returned(outcome)
-        return outcome
 
     def _returned(self, outcome: Outcome) -> bool:
         """Whether a call returned; closes if the worker died or could not build its pipeline."""

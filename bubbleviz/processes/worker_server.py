@@ -25,7 +25,8 @@ def serve(
 
     tqdm.set_lock(threading.RLock())  # the default is a semaphore that outlives a killed process
     if memory_limit_bytes is not None:
-        _limit_memory(memory_limit_bytes)
+        _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+        resource.setrlimit(resource.RLIMIT_DATA, (memory_limit_bytes, hard))
     kept: tuple[Any, ...] = ()
     while True:
         try:
@@ -49,8 +50,3 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(1)
-
-
-def _limit_memory(limit_bytes: int) -> None:
-    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    resource.setrlimit(resource.RLIMIT_DATA, (limit_bytes, hard))

@@ -101,7 +101,9 @@ class Bag:
         # whether each message is compressed, so that its first bytes need all of it
         self.inflates = False
         if self.ros1:
-            self._storages = self._ros1_files()
+            from rosbags.rosbag1 import Reader
+
+            self._storages = [Ros1Storage(self._opened(Reader(self.path)))]
         else:
             self._storages = [self._ros2_file(file) for file in self._ros2_files()]
         counts: Counter[tuple[str, str]] = Counter()
@@ -112,11 +114,6 @@ class Bag:
         files = [self.path] if self.path.is_file() else self.path.iterdir()
         # size of the recording's files
         self.size_bytes = sum(file.stat().st_size for file in files if file.is_file())
-
-    def _ros1_files(self) -> list[Storage]:
-        from rosbags.rosbag1 import Reader
-
-        return [Ros1Storage(self._opened(Reader(self.path)))]
 
     def _ros2_file(self, file: Path) -> Storage:
         if file.suffix.lower() == ".db3":

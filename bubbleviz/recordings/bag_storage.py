@@ -128,7 +128,12 @@ class ChunkCache:
         """Chunk `number` at an offset; dropped from the cache if reading fails."""
         if number not in self._chunks:
             self._chunks[number] = self._load(number)
-            self._evict()
+            memory = sum(chunk.memory for chunk in self._chunks.values())
+            while len(self._chunks) > 1 and (
+                len(self._chunks) > self._MAX_CHUNKS or memory > self._MAX_MEMORY
+            ):
+                _, oldest = self._chunks.popitem(last=False)
+                memory -= oldest.memory
         self._chunks.move_to_end(number)
         try:
             self._chunks[number].seek(offset)
@@ -136,14 +141,6 @@ class ChunkCache:
         except Exception:
             self._chunks.pop(number, None)
             raise
-
-    def _evict(self) -> None:
-        memory = sum(chunk.memory for chunk in self._chunks.values())
-        while len(self._chunks) > 1 and (
-            len(self._chunks) > self._MAX_CHUNKS or memory > self._MAX_MEMORY
-        ):
-            _, oldest = self._chunks.popitem(last=False)
-            memory -= oldest.memory
 
 
 def decompress(data: bytes) -> bytes:

@@ -171,7 +171,10 @@ def colour_camera(
 def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
     """T_D_C (4, 4) from the recorded poses; None if they do not connect the two cameras."""
     if any(_REALSENSE_STREAM.fullmatch(topic.name) for topic in (colour, depth)):
-        return _pose_by_extrinsics(bag, colour, depth)
+        # its images name no frame, but each stream has the pose of a reference in its camera
+        ours, depths = (_extrinsics(bag, topic) for topic in (colour, depth))
+        shared = ours.keys() & depths.keys()
+        return next((depths[each] @ np.linalg.inv(ours[each]) for each in shared), None)
     poses = StaticPoses()
     for topic in of_type(bag, TRANSFORMS, STATIC_TRANSFORMS):
         messages = bag.messages(topic)
@@ -179,17 +182,6 @@ def _relative_pose(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
             poses = poses.after(messages.message(k))
     frames = (bag.messages(topic).first().header.frame_id for topic in (colour, depth))
     return poses.pose(*frames)
-
-
-def _pose_by_extrinsics(bag: Bag, colour: Topic, depth: Topic) -> np.ndarray | None:
-    """As `_relative_pose`, for a `.bag` of the RealSense library, whose images name no frame.
-
-    Each stream has the pose of a common reference in its camera.
-    """
-    ours, depths = (_extrinsics(bag, topic) for topic in (colour, depth))
-    for reference in ours.keys() & depths.keys():
-        return np.asarray(depths[reference] @ np.linalg.inv(ours[reference]))
-    return None
 
 
 def _extrinsics(bag: Bag, image: Topic) -> dict[str, np.ndarray]:

@@ -38,7 +38,9 @@ def check_fits(source: FrameSource, sensor: Sensor, sensor_name: str | Path) -> 
     """
     if isinstance(source, Recording):
         _check_camera_info(source)
-        _check_recorded_gas_unit(source, sensor)
+        if len(measured := source.gas_pressures_pa(_GAS_SAMPLE)):
+            value, where = float(np.median(measured)), f" on {source.value_topics[PRESSURE]}"
+            check_gas_unit(value, sensor, str(source.path), where, ", and record again")
     size, own = image_size(source), (sensor.camera.width, sensor.camera.height)
     if size != own:
         raise size_refusal(shown_name(source), size, sensor_name, own)
@@ -138,14 +140,6 @@ def _check_camera_info(recording: Recording) -> None:
                 f"images are {_by(recording.size)}; record both from one camera, neither cropped "
                 "nor scaled"
             )
-
-
-def _check_recorded_gas_unit(recording: Recording, sensor: Sensor) -> None:
-    if not len(measured := recording.gas_pressures_pa(_GAS_SAMPLE)):
-        return
-    topic = recording.value_topics[PRESSURE]
-    value, name = float(np.median(measured)), str(recording.path)
-    check_gas_unit(value, sensor, name, f" on {topic}", ", and record again")
 
 
 def check_gas_unit(
