@@ -45,7 +45,7 @@ from bubbleviz_ui.panels.compare_panel import ComparePanel
 from bubbleviz_ui.panels.images_panel import ImagesPanel
 from bubbleviz_ui.panels.kappa_panel import KappaPanel, ThresholdPanel
 from bubbleviz_ui.panels.layers_panel import LayersPanel
-from bubbleviz_ui.panels.plot_host import PlotHost, import_plots
+from bubbleviz_ui.panels.plot_host import import_plots
 from bubbleviz_ui.panels.plots_panel import PlotsPanel
 from bubbleviz_ui.panels.status_bar import StatusBar
 from bubbleviz_ui.panels.view_tools_panel import ViewTools
@@ -189,8 +189,6 @@ class PanelWindow(QMainWindow):
         self.open_panels.close()
         self._rates_timer.stop()
         self.state.blockSignals(True)  # receivers are being deleted
-        for host in self.findChildren(PlotHost):
-            host.close_canvas()
         self.calibration.close_all()
         self.exporting.close()
         for worker in (self.reading, self.compare.other.worker):

@@ -245,7 +245,6 @@ def test_ellipse_is_drawn_in_the_unit_of_force(qtbot):
     np.testing.assert_allclose(np.stack(plot.force.getData()), [[0, 200], [0, 200]])
     plot.draw(ShearNumbers(), Unit("mN", 1e3, 0))
     assert plot.force.getData()[0] is None or not len(plot.force.getData()[0])
-    plot.close_canvas()
 
 
 def test_a_frame_has_one_force_whatever_was_shown_before_and_says_if_of_colour(drive, rubber):

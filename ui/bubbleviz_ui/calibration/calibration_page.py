@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt
-from PySide6.QtGui import QColor, QWheelEvent
+from PySide6.QtGui import QWheelEvent
 from PySide6.QtWidgets import QFormLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.calibration import Step
@@ -16,7 +14,7 @@ from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.registry import Colouring, ImageKind
 from bubbleviz_ui.model.units import DASH, Unit, Units
 from bubbleviz_ui.panels.images_panel import ImageCell
-from bubbleviz_ui.panels.plot_host import Part, PlotHost
+from bubbleviz_ui.panels.plot_host import HEADING, Part, PlotHost
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill
 
@@ -92,11 +90,11 @@ class NumberForm(QWidget):
             self.set(name, None)
 
 
-# An image with a colour bar and the value under the mouse.
+# An image with its colour scale and the value under the mouse.
 
 
-HEIGHT, BAR = 290, 10
-"""Height of image and colour bar together, and of the bar alone, screen pixels."""
+HEIGHT = 290
+"""Height of the image with its scale, screen pixels."""
 
 
 class ImageView(QWidget):
@@ -104,7 +102,6 @@ class ImageView(QWidget):
 
     def __init__(self, colouring: Colouring = "range") -> None:
         super().__init__()
-        self.image: np.ndarray | None = None  # Shown, (H, W), SI
         self._unit = Unit("", 1.0, 0)
         self._kind = ImageKind("", colouring)
         self._host = PlotHost(self._make)
@@ -114,54 +111,36 @@ class ImageView(QWidget):
         row = fill(QHBoxLayout(), (self.title, 1), self.value)
         fill(QVBoxLayout(self), row, self._host, margins=(0, 0, 0, 0), spacing=3)
 
+    @property
+    def image(self) -> np.ndarray | None:
+        """The image shown (H, W), SI."""
+        return self._cell.image
+
     def show_image(
         self, title: str, image: np.ndarray | None, unit: Unit, low: float, high: float
     ) -> None:
         """Show an image (H, W) in SI with colours from `low` to `high`; None: no image."""
         self._host.prepare()
-        self.image, self._unit = image, unit
+        self._unit = unit
         self.title.setText(title if image is not None else f"{title}: {DASH}")
         self.value.setText("")
         if image is None:
             self._cell.clear()
-            return
-        self._cell.show(unit.per_si * image, unit.from_si(low), unit.from_si(high))
-        self._bar.setLevels((unit.from_si(low), unit.from_si(high)))
-        self._bar.getAxis("bottom").setLabel(unit.symbol)
+        else:
+            self._cell.show(image, low, high, unit)
 
     def at(self, row: int, column: int) -> str:
-        if self.image is None:
+        image = self.image
+        if image is None or not (0 <= row < image.shape[0] and 0 <= column < image.shape[1]):
             return ""
-        height, width = self.image.shape
-        if not (0 <= row < height and 0 <= column < width):
-            return ""
-        return f"({column}, {row}) {self._unit.text(float(self.image[row, column]))}"
-
-    def paint(self, dim: QColor, text: QColor) -> None:
-        self._cell.paint(dim, text)
-        self._bar.setColorMap(self._colour_map())
-        axis = self._bar.getAxis("bottom")
-        axis.setPen(dim)
-        axis.setTextPen(text)
-
-    def _colour_map(self) -> Any:
-        return pg.ColorMap(None, self._cell.table)
+        return f"({column}, {row}) {self._unit.text(float(image[row, column]))}"
 
     def _make(self) -> list[Part]:
-        self._cell = ImageCell(self._kind, head=0.0)
-        self._bar = pg.ColorBarItem(
-            colorMap=self._colour_map(),
-            width=BAR,
-            orientation="h",
-            interactive=False,
-            colorMapMenu=False,
-        )
-        self._bar.getAxis("bottom").enableAutoSIPrefix(False)  # "mm (x0.001)"
-        self._bar.setImageItem(self._cell.picture)
-        self._host.arrange([self._cell.item, self._bar])
+        self._cell = ImageCell(self._kind, head=HEADING)
+        self._host.arrange([self._cell.item])
         self._host.canvas.setFixedHeight(HEIGHT)
         self._host.canvas.viewport().installEventFilter(self)
-        return [self]
+        return [self._cell]
 
     def eventFilter(self, _: QObject, event: QEvent) -> bool:
         """Leave the wheel without Ctrl to the page."""

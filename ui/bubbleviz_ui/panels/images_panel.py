@@ -104,9 +104,7 @@ class ImageCell(Cell):
             return
         low, high = self._range(ends) if scale is None else (-scale, scale)
         unit: Unit | None = getattr(units, self.kind.unit) if self.kind.unit else None
-        self.show(image, low, high)
-        self._scale = (low, high, unit)
-        self.write(f"{self.kind.title}<br>{self.legend(*self._scale)}")
+        self.show(image, low, high, unit)
 
     def clear(self) -> None:
         """Remove the image."""
@@ -114,9 +112,14 @@ class ImageCell(Cell):
         self.picture.clear()
         self.write("")
 
-    def show(self, image: np.ndarray, low: float, high: float) -> None:
-        """Show an image (H, W) in SI with colours from `low` to `high`."""
+    def show(self, image: np.ndarray, low: float, high: float, unit: Unit | None) -> None:
+        """Show an image (H, W) in SI with colours from `low` to `high`; no unit: yes or no."""
         self._put(image, image.astype(np.float32), levels=(low, high))
+        self._scale = (low, high, unit)
+        self.write(self._titled_scale(self._scale))
+
+    def _titled_scale(self, scale: tuple[float, float, Unit | None]) -> str:
+        return "<br>".join(filter(None, (self.kind.title, self.legend(*scale))))
 
     def _put(self, image: np.ndarray, drawn: np.ndarray, **how: Any) -> None:
         """Draw an image; one of another size is fitted into the view."""
@@ -160,7 +163,7 @@ class ImageCell(Cell):
             self.table = colour_table(self.kind.colouring, theme.with_text(text))
             self.picture.setLookupTable(self.table)
         if self._scale is not None and self.image is not None:
-            self.text = f"{self.kind.title}<br>{self.legend(*self._scale)}"
+            self.text = self._titled_scale(self._scale)
         super().paint(dim, text)
 
     def _range(self, ends: tuple[float, float] | None) -> tuple[float, float]:

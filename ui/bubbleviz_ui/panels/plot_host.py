@@ -79,12 +79,6 @@ class PlotHost(QWidget):
             self.canvas.ci.addItem(item, k // columns, k % columns)
         return True
 
-    def close_canvas(self) -> None:
-        """Close items that would outlive the window, such as menus of colour bars."""
-        canvas, self.canvas = self.canvas, None
-        for item in () if canvas is None else tuple(canvas.ci.items):
-            item.close()
-
     def showEvent(self, event: QShowEvent) -> None:
         """Create the canvas when first shown."""
         super().showEvent(event)
