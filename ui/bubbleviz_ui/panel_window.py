@@ -71,7 +71,7 @@ from bubbleviz_ui.shell.file_dialogs import (
     last_sensor,
     remember,
     remember_sensor,
-    save_picture,
+    write_picture,
 )
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
 from bubbleviz_ui.view3d.pointing import Pointing
@@ -177,7 +177,7 @@ class PanelWindow(QMainWindow):
 
     def save_screenshot(self, path: Path) -> None:
         """Write a screenshot of the window."""
-        save_picture(self.messages, path, self.grab())
+        self.messages.report("picture", path, partial(write_picture, path, self.grab()))
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:
         application = QApplication.instance()

@@ -157,13 +157,12 @@ class SessionSaver(QObject):
 
     def save_as(self, path: Path) -> None:
         """Write a portable session file, without settings of the user."""
-        try:
+
+        def write() -> None:
             write_atomically(path, portable(self.snapshot(path), path))
-        except InputError as error:
-            self._window.messages.add("error", str(error), topic="session")
-        else:
+
+        if self._window.messages.report("session", path, write):
             self._remember(str(path.absolute()))
-            self._window.messages.add("notice", f"Saved {path}", file=path, topic="session")
 
     def open(self, path: Path) -> None:
         """Open a session file; parts that cannot be opened give messages."""

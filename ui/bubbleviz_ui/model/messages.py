@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
 from PySide6.QtCore import QObject, Signal
+
+from bubbleviz.errors import InputError
 
 MessageKind = Literal["notice", "warning", "error"]
 OPENING = "opening"
@@ -63,6 +66,19 @@ class Messages(QObject):
         message = UserMessage(kind, text, details, file, topic=topic)
         self.all.append(message)
         self.added.emit(message)
+
+    def report(self, topic: str, path: Path, write: Callable[[], str | None]) -> bool:
+        """Write a file with a message about it, or why it could not be written; whether it was.
+
+        `write` may return a sentence in place of "Saved …".
+        """
+        try:
+            said = write()
+        except InputError as error:
+            self.add("error", str(error), topic=topic)
+            return False
+        self.add("notice", said or f"Saved {path}", file=path, topic=topic)
+        return True
 
 
 class RateMeter:

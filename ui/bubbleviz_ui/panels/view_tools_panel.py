@@ -33,7 +33,7 @@ from bubbleviz_ui.shell.dock import fill, push_button, tool_button
 from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
     name_of_output,
-    save_picture,
+    write_picture,
 )
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
@@ -225,7 +225,8 @@ class ViewTools(QWidget):
         pixels = picture_of(self._view, *self._picture_size())
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
-        save_picture(self._state.messages, path, QPixmap.fromImage(image))
+        write = partial(write_picture, path, QPixmap.fromImage(image))
+        self._state.messages.report("picture", path, write)
 
     def _choose_file(self) -> None:
         title, kinds = "Save picture of the 3-D view", "PNG images (*.png)"

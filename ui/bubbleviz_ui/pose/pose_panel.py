@@ -21,7 +21,6 @@ from PySide6.QtWidgets import (
     QWidget,
 )
 
-from bubbleviz.errors import InputError
 from bubbleviz.files import SUFFIXES, angles_of_pose, pose_of_angles, presets_folder
 from bubbleviz.result import Pose
 from bubbleviz.wording import count_of
@@ -342,18 +341,17 @@ class PosePanel(QWidget):
         if start is not None and not np.allclose(self.start.pose(), start, atol=1e-9):
             self.start.show_pose(start)  # else keep the angles as typed
 
-    def _export(self, form: str) -> None:
+    def _export(self, form: Literal["csv", "tum"]) -> None:
         proposed = name_of_output(self._state.title, f"poses.{form}")
         path, _ = new_file(self, "Export poses", proposed, of="export")
         if path is None:
             return
-        try:
-            count = self.session.export(path, "tum" if form == "tum" else "csv")
-        except InputError as error:
-            self._state.messages.add("error", str(error), topic="export of poses")
-        else:
-            text = f"Exported {count_of(count, 'frame')} to {path}"
-            self._state.messages.add("notice", text, file=path, topic="export of poses")
+
+        def write() -> str:
+            count = self.session.export(path, form)
+            return f"Exported {count_of(count, 'frame')} to {path}"
+
+        self._state.messages.report("export of poses", path, write)
 
     def _on_settings(self, names: frozenset[str]) -> None:
         if names & UNIT_CHOICES.keys():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 from pathlib import Path
 
@@ -276,14 +277,9 @@ class SensorPanel(QWidget):
             self._save(copy, path)
 
     def _save(self, copy: Sensor, path: Path) -> None:
-        try:
-            save_sensor(copy, path)
-        except InputError as error:
-            self._state.messages.add("error", str(error), topic="sensor file")
-            return
-        self._state.messages.add("notice", f"Saved {path}", file=path, topic="sensor file")
-        self._end()
-        self._opening.open_sensor_file(path)
+        if self._state.messages.report("sensor file", path, partial(save_sensor, copy, path)):
+            self._end()
+            self._opening.open_sensor_file(path)
 
     # -- the file -----------------------------------------------------------------------------
 

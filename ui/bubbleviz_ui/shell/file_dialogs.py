@@ -13,9 +13,7 @@ from PySide6.QtCore import QBuffer, QSettings
 from PySide6.QtGui import QImageWriter, QPixmap
 from PySide6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
-from bubbleviz.errors import InputError
 from bubbleviz.files import free_name, whole_file
-from bubbleviz_ui.model.messages import Messages
 
 Answer = Literal["save", "discard", "cancel"]
 SENSOR_FILES = "Sensor files (*.toml);;All files (*)"
@@ -169,13 +167,3 @@ def write_picture(path: Path, picture: QPixmap) -> None:
     picture.save(buffer, suffix if suffix in known else "png")
     with whole_file(path, overwrite=True) as temporary:
         temporary.write_bytes(buffer.data().data())
-
-
-def save_picture(messages: Messages, path: Path, picture: QPixmap) -> None:
-    """Write a picture, with a message about the file, or why it could not be written."""
-    try:
-        write_picture(path, picture)
-    except InputError as error:
-        messages.add("error", str(error), topic="picture")
-    else:
-        messages.add("notice", f"Saved {path}", file=path, topic="picture")
