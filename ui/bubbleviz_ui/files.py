@@ -50,7 +50,7 @@ class Files(QObject):
         elif path.suffix.lower() in SUFFIXES:
             with window.undo_recorder.one_step("object"):
                 window.panels["pose"].show()
-                window.state.set_layer_visible("object", True)
+                window.state.include("layers", "object", True)
                 window.pose.use_file(path)
         elif path.suffix.lower() == SESSION_SUFFIX:
             self._saver.open(path)

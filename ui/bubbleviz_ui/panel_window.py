@@ -341,7 +341,7 @@ class PanelWindow(QMainWindow):
             self.addDockWidget(SIDES[kind.side or "right"], dock)
             if not kind.by_default:
                 dock.hide()
-            dock.visibilityChanged.connect(partial(self.state.set_panel_open, name))
+            dock.visibilityChanged.connect(partial(self.state.include, "panels", name))
         self.splitDockWidget(docks["plots"], docks["playback"], Qt.Orientation.Vertical)
         self._share_width()
         self._docks, self.tabs = docks, TabsForRoom(self, list(docks.values()))

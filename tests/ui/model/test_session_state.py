@@ -46,7 +46,7 @@ def test_only_changed_settings_are_signalled_and_settings_survive_a_new_source()
     events = heard(state)
     state.change(speed=2.0, loop=True)
     state.change(speed=2.0)
-    state.set_layer_visible("rim", False)
+    state.include("layers", "rim", False)
     assert events == [("settings", "speed"), ("settings", "layers")]
     facts = SourceFacts("other", "dome", np.arange(3) / 20.0)
     state.open(facts, frame=7, playing=True)

@@ -387,7 +387,7 @@ def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_sma
     assert not bench.panel.once.isEnabled()
     fit = bench.window.scene.layers["fit"]
     panel, session = bench.panel, bench.panel.session
-    bench.state.set_layer_visible("object_patch", True)
+    bench.state.include("layers", "object_patch", True)
 
     def track():
         bench.choose_object("frustum")

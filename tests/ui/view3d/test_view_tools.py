@@ -66,7 +66,7 @@ def test_viewpoints_exaggeration_vectors_colour_maps_and_section(drive):
     assert abs(drawn[k] - true).max() > 6e-3
     assert driver.pipeline.counts["estimate"] == solved
     assert not near(driver.pixels(), place, NODE)
-    driver.state.set_panel_open("images", True)  # which also marks the place
+    driver.state.include("panels", "images", True)  # which also marks the place
     driver.window.hover.at_point(true)
     driver.wait_until_shown()
     assert near(driver.pixels(), place, NODE)
@@ -87,7 +87,7 @@ def test_viewpoints_exaggeration_vectors_colour_maps_and_section(drive):
     assert driver.count(ORANGE)[0] > 20
     # a section clips the scene
     driver.choose(layers=frozenset({"membrane"}))
-    driver.state.set_panel_open("images", False)
+    driver.state.include("panels", "images", False)
     driver.window.scene.look_from("top")
     driver.wait_until_shown()
     view = driver.window.view
@@ -279,7 +279,7 @@ def test_saved_picture_turntable_and_layout_of_the_tools_panel(drive, tmp_path):
     tools.save_picture(tmp_path / "missing" / "view.png")
     assert "missing does not exist; create it" in driver.message_text
     # hover marks are hidden, marks of a click are kept
-    driver.state.set_panel_open("images", True)  # also marks the place
+    driver.state.include("panels", "images", True)  # also marks the place
     view = driver.window.view
     driver.wait(lambda: bool(driver.inspection.images))
     driver.wait_until_shown()
@@ -295,7 +295,7 @@ def test_saved_picture_turntable_and_layout_of_the_tools_panel(drive, tmp_path):
     assert np.any(picture_of(view, 640, 400) != before)  # the marks of a click are kept
     # the turntable
     camera = driver.window.view.camera
-    driver.state.set_panel_open("images", False)
+    driver.state.include("panels", "images", False)
     driver.click(driver.window.message.dismiss)
     driver.wait_until_shown()
     start = np.array(camera.position)

@@ -236,12 +236,7 @@ class SessionState(QObject):
                 if names & followed:
                     do()
 
-    def set_layer_visible(self, name: str, visible: bool) -> None:
-        """Show or hide a layer of the 3-D view."""
-        layers = self.settings.layers
-        self.change(layers=layers | {name} if visible else layers - {name})
-
-    def set_panel_open(self, name: str, visible: bool) -> None:
-        """Record that a panel came to the front, or is hidden, perhaps by a tab."""
-        panels = self.settings.panels
-        self.change(panels=panels | {name} if visible else panels - {name})
+    def include(self, field: str, name: str, on: bool) -> None:
+        """Put a name into a set of names in the settings, such as `layers`, or take it out."""
+        names: frozenset[str] = getattr(self.settings, field)
+        self.change(**{field: names | {name} if on else names - {name}})

@@ -253,7 +253,7 @@ class OpenPanels(QObject):
         if event.type() in (QEvent.Type.ShowToParent, QEvent.Type.HideToParent):
             if watched is self._panels[STATUS]:
                 # docks do that by their visibility
-                self._state.set_panel_open(STATUS, STATUS in self.names)
+                self._state.include("panels", STATUS, STATUS in self.names)
             self.changed.emit()
         return False
 
