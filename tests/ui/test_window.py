@@ -19,7 +19,7 @@ from PySide6.QtWidgets import (
     QScrollBar,
     QWidget,
 )
-from window_driver import CONTACT, LEFT, clipped_labels, text_actors, turn_wheel
+from window_driver import CONTACT, LEFT, clipped_texts, text_actors, turn_wheel
 
 import bubbleviz
 from bubbleviz.sensor import Membrane
@@ -204,7 +204,7 @@ def test_numbers_have_units_and_room_and_every_control_has_a_tooltip(drive):
         driver.seek(frame)
     assert status.labels["force"].text() != text and requests.count == 0
     status.labels["force"].setText("8" * 40)
-    driver.wait(lambda: requests.count > 0 and not clipped_labels(status))
+    driver.wait(lambda: requests.count > 0 and not clipped_texts(status))
 
 
 def test_new_source_keeps_camera_and_settings_and_is_shown_whole(drive, sensor):

@@ -11,6 +11,7 @@ from PySide6.QtCore import QEvent, QMimeData, QPoint, QPointF, Qt, QTimer, QUrl
 from PySide6.QtGui import QDropEvent, QImage, QMouseEvent
 from PySide6.QtTest import QTest
 from PySide6.QtWidgets import (
+    QAbstractButton,
     QApplication,
     QCheckBox,
     QDialog,
@@ -266,13 +267,18 @@ def as_pixels(image):
     return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
 
 
-def clipped_labels(root):
-    """Visible single-line labels of a widget whose text is clipped."""
+def clipped_texts(root):
+    """Visible texts of labels and buttons of a widget that are clipped; wrapped ones are not."""
+    texts = {}
+    for each in (*root.findChildren(QLabel), *root.findChildren(QAbstractButton)):
+        wraps = isinstance(each, QLabel) and each.wordWrap()
+        if each.isVisible() and not wraps and "<" not in each.text():
+            texts[each] = each.text().replace("&", "").splitlines()
     return [
-        label.text()
-        for label in root.findChildren(QLabel)
-        if label.isVisible() and not label.wordWrap() and "<" not in label.text()
-        if label.fontMetrics().horizontalAdvance(label.text()) > label.width() + 1
+        line
+        for each, lines in texts.items()
+        for line in lines
+        if each.fontMetrics().horizontalAdvance(line) > each.width() + 1
     ]
 
 

@@ -11,7 +11,7 @@ from fakes import FIRST_CONTACT, FRAMES, DentSource
 from live_bench import connected_bench
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
-from window_driver import CTRL, Driver, clipped_labels, pressure_coloured, view_texts
+from window_driver import CTRL, Driver, clipped_texts, pressure_coloured, view_texts
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
@@ -329,7 +329,7 @@ def test_tables_their_names_and_messages(bench, sensor, tmp_path, monkeypatch):
     assert asked == ["left_hand_table.csv", "left_hand_membrane_series"]
     # nothing is exported while nothing is open
     bench.state.set_range((3, 8))
-    assert not clipped_labels(dialog)
+    assert not clipped_texts(dialog)
     box = dialog.frames
     assert box.fontMetrics().horizontalAdvance(box.currentText()) + 24 <= box.width()
     bench.key(Qt.Key.Key_W, CTRL)

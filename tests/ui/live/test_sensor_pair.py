@@ -11,7 +11,7 @@ from live_bench import IMAGE, messages_by_type, robot_sensor, sensor_file, senso
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QFileDialog
 from vtkmodules.vtkRenderingCore import vtkAssembly
-from window_driver import clipped_labels, colour_bar, view_texts, vtk_props
+from window_driver import clipped_texts, colour_bar, view_texts, vtk_props
 
 from bubbleviz.recordings import RecordingWriter
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -305,7 +305,7 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     bench.click(bar.sensors[1])
     bench.wait(lambda: bench.state.facts.title == "right.mcap")
     assert shown_pair(bench, 3) == (3, 5)
-    assert named_sensors(bench) == {"right"} and not clipped_labels(bench.window.status)
+    assert named_sensors(bench) == {"right"} and not clipped_texts(bench.window.status)
     # playback moves both
     bench.state.seek(0)
     bench.state.set_playing(True)

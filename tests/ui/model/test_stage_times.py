@@ -1,13 +1,8 @@
 """The performance table, against the counts of the pipeline."""
 
-from dataclasses import replace
-
-import pytest
 from PySide6.QtWidgets import QApplication
 
-from bubbleviz.pipeline import stages
-from bubbleviz_ui.model.demand import STAGES, names_by_stage, needed_products
-from bubbleviz_ui.model.settings import Settings
+from bubbleviz_ui.model.demand import STAGES
 from bubbleviz_ui.panels.status_bar import IDLE, PerformancePopup
 
 
@@ -17,36 +12,6 @@ def rows(popup):
         stage: [popup.table.item(row, column).text() for column in range(1, 5)]
         for row, stage in enumerate(STAGES)
     }
-
-
-NOTHING = Settings(layers=frozenset(), panels=frozenset())
-
-
-@pytest.mark.parametrize(
-    ("changes", "wanted"),
-    [
-        ({}, set()),
-        ({"layers": frozenset({"rim", "frustum"})}, set()),
-        ({"layers": frozenset({"cloud"}), "cloud_colour": "plain"}, {"cloud"}),
-        (
-            {"layers": frozenset({"cloud"}), "cloud_colour": "patch"},
-            {"cloud", "estimate", "patch", "pixel_mask"},
-        ),
-        ({"panels": frozenset({"plots"}), "plots": frozenset({"gas"})}, None),
-        ({"layers": frozenset({"membrane"})}, None),  # no residual for a hidden cloud
-    ],
-)
-def test_only_stages_of_visible_layers_and_panels_run(changes, wanted):
-    settings = replace(NOTHING, **changes)
-    asked = names_by_stage(settings)
-    assert set(asked) == stages(needed_products(settings)) and "residual" not in needed_products(
-        settings
-    )
-    assert wanted is None or needed_products(settings) == wanted
-    for name in {n for names in asked.values() for n in names}:
-        less = {"layers": settings.layers - {name}, "panels": settings.panels - {name}}
-        without = stages(needed_products(replace(settings, **less)))
-        assert not without & {stage for stage, names in asked.items() if names == [name]}
 
 
 def test_click_on_the_status_bar_opens_the_performance_table(drive):
@@ -70,6 +35,7 @@ def test_click_on_the_status_bar_opens_the_performance_table(drive):
     result = driver.result
     assert last == driver.state.units.duration.text(result.times_ms["estimate"])
     assert median.endswith(" ms") and "Membrane" in why and "status bar" in why
+    assert "Rim" not in why  # which needs nothing
     assert seen["pixel_mask"][3] == IDLE and seen["pixel_mask"][2] == "0×"
     driver.state.change(layers=frozenset({"rim"}))
     popup.refresh()

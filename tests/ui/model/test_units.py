@@ -5,7 +5,7 @@ import re
 
 import pytest
 from PySide6.QtWidgets import QApplication, QMenu
-from window_driver import CONTACT, clipped_labels, view_texts
+from window_driver import CONTACT, clipped_texts, view_texts
 
 from bubbleviz_ui.model.units import UNIT_CHOICES, Units
 
@@ -109,7 +109,7 @@ def test_labels_follow_the_chosen_units(drive):
     assert driver.pipeline.counts["estimate"] == solved  # without computing anything
     window.show_rates()
     QApplication.processEvents()
-    assert window.width() == 1280 and not clipped_labels(window.status)
+    assert window.width() == 1280 and not clipped_texts(window.status)
     choose(driver, "kPa")
     assert window.kappa.threshold.text().endswith("kPa")
     # a colour range set by the user stays; 0 means automatic

@@ -10,7 +10,7 @@ from PySide6.QtCore import QEvent, QPoint, QPointF, Qt
 from PySide6.QtWidgets import QApplication
 from window_driver import (
     CONTACT,
-    clipped_labels,
+    clipped_texts,
     graphics_view,
     hover,
     near,
@@ -162,7 +162,7 @@ def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive
     # no text is clipped
     hover(graphics_view(panel).viewport(), place_of(panel, "change", 25, 44))
     QApplication.processEvents()
-    assert not clipped_labels(panel) and all(label.text() for label in panel.lines)
+    assert not clipped_texts(panel) and all(label.text() for label in panel.lines)
     for cell in panel.cells.values():
         assert cell.label.item.boundingRect().width() <= cell.item.size().width() + 6, cell.text
     assert driver.window.width() == 1280
