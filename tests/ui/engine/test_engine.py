@@ -280,7 +280,7 @@ def test_second_close_waits_for_a_function_that_exceeded_the_timeout(qtbot):
 def test_frame_beyond_the_end_opens_at_the_last(sensor):
     solver, demand = Solver(), Demand(frozenset({"cloud"}))
     opened = solver.open(OpenRequest(Source("dent", DentSource), lambda: sensor, 99, demand))
-    assert opened.frame == opened.facts.frames - 1
+    assert opened.result.frame.index == opened.facts.frames - 1
     solver.close()
 
 

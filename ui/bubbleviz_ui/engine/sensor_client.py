@@ -231,7 +231,7 @@ class SensorClient(QObject):
         self._shown_demand = self.demand.without_images()
         self._imaged_frame = opened.result.frame
         self._background_s = time.perf_counter() + IDLE_S
-        self._remember(opened.frame, opened.numbers, self.demand)
+        self._remember(opened.result.frame.index, opened.numbers, self.demand)
         if not opened.facts.grows and opened.result.frame.wrench is not None:
             self.history.wrench_bias_n = np.full(3, np.nan)  # until it is known
             function = partial(

@@ -69,7 +69,6 @@ class Opened:
     sensor: Sensor
     camera: DepthCamera
     mesh: MembraneMesh
-    frame: int
     result: Result
     numbers: Numbers
 
@@ -471,7 +470,7 @@ class Solver:
             before.close()
         numbers, result = current.numbers(result), current.diagnose(result, request.demand)
         facts, camera, mesh = _facts(current, sensor, measured_pa), pipeline.camera, pipeline.mesh
-        return Opened(request, facts, sensor, camera, mesh, index, result, numbers)
+        return Opened(request, facts, sensor, camera, mesh, result, numbers)
 
 
 def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> SourceFacts:

@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PySide6.QtWidgets import QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics import profile
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.panels.plot_host import Part, Plot, PlotHost
-from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
 HEIGHT = 230
@@ -20,23 +18,21 @@ DOT = 2
 """Size of a measured point, px."""
 
 
-class ProfilePlot(QWidget):
+class ProfilePlot(PlotHost):
     """Profile of the frame shown between two points; hidden without them."""
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
-        super().__init__()
+        super().__init__(self._make)
         self._state, self._controller = state, controller
         self._ends_m: np.ndarray | None = None
-        self._host = PlotHost(self._make)
-        self._host.setFixedHeight(HEIGHT)
-        fill(QVBoxLayout(self), self._host, margins=(0, 0, 0, 0))
+        self.setFixedHeight(HEIGHT)
         self.setToolTip(
             "Section through both points, parallel to z of the bubble frame: estimated membrane, "
             "membrane at rest, measured points, and contact pressure, over the distance in xy from "
             "the first point"
         )
         self.hide()
-        self._host.seen.connect(self._draw)
+        self.seen.connect(self._draw)
         controller.shown.connect(self._draw)
 
     def show_line(self, ends_m: np.ndarray | None) -> None:
@@ -51,12 +47,12 @@ class ProfilePlot(QWidget):
         self.measured = self.above.add_dots(DOT, ORANGE)
         self.membrane, self.contact = self.above.add_curve(BLUE), self.below.add_curve(BLUE)
         self.below.box.setXLink(self.above.box)
-        self._host.arrange([self.above.item, self.below.item])
+        self.arrange([self.above.item, self.below.item])
         return [self.above, self.below]
 
     def _draw(self, _: Any = None) -> None:
         opened, result = self._controller.client.opened, self._controller.result
-        if not self._host.ready or self._ends_m is None or opened is None or result is None:
+        if not self.ready or self._ends_m is None or opened is None or result is None:
             return
         found = profile(opened.camera, opened.mesh, result, self._ends_m)
         if found is None:
