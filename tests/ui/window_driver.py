@@ -177,6 +177,13 @@ class Driver:
         """Trigger an action by its name in the menus."""
         self.window.shortcuts.actions[name].trigger()
 
+    def menu(self, *titles):
+        """A menu by the titles on the way to it."""
+        menu = self.window.menuBar()
+        for title in titles:
+            menu = next(a.menu() for a in menu.actions() if a.text().replace("&", "") == title)
+        return menu
+
     def is_checked(self, name):
         return bool(self.window.shortcuts.actions[name].isChecked())
 

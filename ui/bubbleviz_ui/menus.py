@@ -344,7 +344,6 @@ class Menus(QObject):
 
     def _one_of(self, menu: QMenu, *fields: str) -> None:
         """Add exclusive actions for the values of each setting."""
-        menu.setObjectName(menu.title().replace("&", "menu_").lower())
         for field in fields:
             group = QActionGroup(menu)
             for value, title in (Settings.info(field).titles or {}).items():

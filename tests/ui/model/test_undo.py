@@ -147,7 +147,7 @@ def test_undo_and_redo_of_every_setting_by_its_control(drive):
 
 def opened(driver):
     """Open docks, by their checked entries in the View menu."""
-    menu = next(a.menu() for a in driver.window.menuBar().actions() if a.text() == "&View")
+    menu = driver.menu("View")
     menu.aboutToShow.emit()
     return {a.text() for a in menu.actions() if a.isCheckable() and a.isChecked()}
 

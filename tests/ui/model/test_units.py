@@ -4,7 +4,7 @@ import math
 import re
 
 import pytest
-from PySide6.QtWidgets import QApplication, QMenu
+from PySide6.QtWidgets import QApplication
 from window_driver import CONTACT, clipped_texts, view_texts
 
 from bubbleviz_ui.model.units import UNIT_CHOICES, Units
@@ -59,13 +59,6 @@ def test_other_units(quantity, symbol, si, text):
     assert unit.text(si) == text and unit.to_si(unit.from_si(si)) == pytest.approx(si)
 
 
-def choose(driver, *symbols):
-    """Trigger entries of the menu of units."""
-    menu = driver.window.findChild(QMenu, "menu_units")
-    for symbol in symbols:
-        next(a for a in menu.actions() if a.text() == symbol).trigger()
-
-
 def test_labels_follow_the_chosen_units(drive):
     driver = drive(frame=CONTACT)
     window = driver.window
@@ -78,7 +71,8 @@ def test_labels_follow_the_chosen_units(drive):
     window.hover.at_pixel(24, 44)
     driver.wait_until_shown()
     solved = driver.pipeline.counts["estimate"]
-    choose(driver, "m", "psi", "mN", "s")
+    for symbol in ("m", "psi", "mN", "s"):
+        driver.trigger(f"View › Units › {symbol}")
     driver.wait_until_shown()
     force = 1e3 * float((driver.result.patch.force_n**2).sum() ** 0.5)
     labels = window.status.labels
@@ -110,16 +104,16 @@ def test_labels_follow_the_chosen_units(drive):
     window.show_rates()
     QApplication.processEvents()
     assert window.width() == 1280 and not clipped_texts(window.status)
-    choose(driver, "kPa")
+    driver.trigger("View › Units › kPa")
     assert window.kappa.threshold.text().endswith("kPa")
     # a colour range set by the user stays; 0 means automatic
     box = window.layers.pressure_max
     box.setValue(5.0)
     assert driver.state.settings.pressure_max_pa == pytest.approx(5000.0)
-    choose(driver, "psi")
+    driver.trigger("View › Units › psi")
     assert driver.state.settings.pressure_max_pa == pytest.approx(5000.0)
     assert box.value() == pytest.approx(5000.0 / 6894.757, abs=1e-3)
-    choose(driver, "kPa")
+    driver.trigger("View › Units › kPa")
     assert box.value() == 5.0
     box.setValue(0.0)
     assert driver.state.settings.pressure_max_pa is None

@@ -168,9 +168,7 @@ def test_saved_and_foreign_sessions_recent_files_and_reload(drive, files, open_p
     window, copy = driver.window, tmp_path / "press.mcap"
     shutil.copy(files / "press.mcap", copy)
     open_press(driver, tmp_path, frame=5)
-    menu = next(
-        a.menu() for a in window.menuBar().actions()[0].menu().actions() if "recent" in a.text()
-    )
+    menu = driver.menu("File", "Open recent")
     sessions = [tmp_path / f"{name}.bubbleviz" for name in "ba"]
     assert [Path(a.text()) for a in menu.actions()] == [copy, files / "dome.toml", *sessions]
     driver.state.set_markers((1,))

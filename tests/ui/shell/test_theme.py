@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor, QPalette
-from PySide6.QtWidgets import QApplication, QLineEdit, QMenu, QWidget
+from PySide6.QtWidgets import QApplication, QLineEdit
 from window_driver import CONTACT, clipped_texts, painted
 
 from bubbleviz_ui.live.live_bar import BADGES
@@ -15,12 +15,6 @@ from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
 
 HERE = Path(__file__).parents[1]
-
-
-def choose(driver, title):
-    """Trigger an action of the theme menu."""
-    menu = driver.window.findChild(QWidget, "menu_theme")
-    next(a for a in menu.actions() if title in a.text()).trigger()
 
 
 def contrast(one, other):
@@ -40,7 +34,7 @@ def test_theme_menu_changes_all_parts_with_enough_contrast(drive):
     window = driver.window
     parts = (window.status, window.menuBar(), window.layers, window.kappa, window.playback)
     for title, colours in (("Light", theme.LIGHT), ("Dark", theme.DARK)):
-        choose(driver, title)
+        driver.trigger(f"View › Theme › {title}")
         driver.wait_until_shown()
         corner = window.view.pixels()[-3, 3]
         assert np.allclose(corner, rgb(colours.view), atol=2)
@@ -54,20 +48,20 @@ def test_theme_menu_changes_all_parts_with_enough_contrast(drive):
         play = painted(window.playback.buttons["Play / pause"]).reshape(-1, 3).astype(int)
         assert np.abs(play - rgb(colours.text)).sum(axis=1).min() < 12
         assert len(driver.pressure_pixels()) > 200  # pressure has its colours on both
-    choose(driver, "&system")
+    driver.trigger("View › Theme › As the system")
     changed = QApplication.styleHints().colorSchemeChanged  # a desktop emits it; Xvfb is none
     changed.emit(Qt.ColorScheme.Light)
     assert theme.of(driver.window) is theme.LIGHT
     changed.emit(Qt.ColorScheme.Dark)
     assert theme.of(driver.window) is theme.DARK
-    choose(driver, "Light")
+    driver.trigger("View › Theme › Light")
     changed.emit(Qt.ColorScheme.Dark)
     assert theme.of(driver.window) is theme.LIGHT  # what was chosen outlives the system's
     # checked buttons stand out, also in panels shown later
     loop, playback = driver.window.playback.buttons["Loop"], driver.window.panels["playback"]
     for title in ("Light", "Dark"):
         playback.hide()
-        choose(driver, title)
+        driver.trigger(f"View › Theme › {title}")
         playback.show()
         driver.wait_for_redraw()
         grounds = {}
@@ -78,7 +72,7 @@ def test_theme_menu_changes_all_parts_with_enough_contrast(drive):
         assert contrast(grounds[True], grounds[False]) > 3.0, title
     # so do marks, and selected and disabled text
     for title in ("Dark", "Light"):
-        choose(driver, title)
+        driver.trigger(f"View › Theme › {title}")
         check_contrasts(driver)
 
 
@@ -115,7 +109,7 @@ def within(widget, place):
 
 def check_contrasts(driver):
     # unchecked boxes and separators of menus
-    menu = next(a.menu() for a in driver.window.menuBar().actions() if "View" in a.text())
+    menu = driver.menu("View")
     menu.popup(driver.window.pos())
     box = next(a for a in menu.actions() if a.isCheckable() and not a.isChecked())
     line = next(a for a in menu.actions() if a.isSeparator())
@@ -124,7 +118,7 @@ def check_contrasts(driver):
         part = painted(menu)[place.top() : place.bottom() + 1, place.left() + 4 : 28]
         assert selected(part) > 3.0, action.text()  # WCAG 2, parts of controls
     menu.close()
-    menu = next(a.menu() for a in driver.window.menuBar().actions() if "File" in a.text())
+    menu = driver.menu("File")
     menu.popup(driver.window.pos())
     action = menu.actions()[0]
     menu.setActiveAction(action)
@@ -144,8 +138,7 @@ def check_contrasts(driver):
     # what is disabled, in controls of every kind and in a menu, can be read and looks it
     driver.show("pose")
     QApplication.processEvents()
-    pose, menu = driver.window.pose, driver.window.findChild(QMenu, "menu_theme")
-    assert isinstance(menu, QMenu)
+    pose, menu = driver.window.pose, driver.menu("View", "Theme")
     for widget in (pose.search, pose.unit, pose.once, pose.track, pose.start):
         now = []
         for enabled in (True, False):

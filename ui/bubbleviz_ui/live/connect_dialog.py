@@ -130,7 +130,6 @@ class ConnectDialog(QDialog):
             "Equivalent argument of bubbleviz open --source (two sensors: --session)"
         )
         self.problem = QLabel(wordWrap=True)
-        self.problem.setObjectName("problem")
         buttons = QDialogButtonBox.StandardButton
         self.buttons = QDialogButtonBox(buttons.Ok | buttons.Cancel)
         self.buttons.button(buttons.Ok).setText("Connect")

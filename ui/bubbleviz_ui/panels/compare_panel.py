@@ -307,7 +307,6 @@ class ComparePanel(QWidget):
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
-        self.setObjectName("compare")
         self._state, self._controller = state, controller
         self._measured: tuple[ComparedResult | str | None, ...] = NOT_MEASURED
         self.a, self.b = SettingColumn(state, 0), SettingColumn(state, 1)

@@ -215,7 +215,6 @@ class ImagesPanel(QWidget):
         self, state: SessionState, controller: Controller, hover: Hover, scales: Scales
     ) -> None:
         super().__init__()
-        self.setObjectName("images")
         self._scales, self._residual_max_m = scales, math.nan
         self._state, self._controller, self._hover = state, controller, hover
         self._host = PlotHost(spacing=4)  # each image is created when it is first chosen

@@ -261,7 +261,6 @@ class ThresholdPanel(QWidget):
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
-        self.setObjectName("threshold")
         self._state, self._controller = state, controller
         self._host = PlotHost(self._make)
         self._host.setMinimumHeight(HEIGHT)

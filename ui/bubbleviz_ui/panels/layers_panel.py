@@ -5,7 +5,7 @@ from __future__ import annotations
 from PySide6.QtGui import QPalette
 from PySide6.QtWidgets import QCheckBox, QFormLayout, QFrame, QVBoxLayout, QWidget
 
-from bubbleviz_ui.model.registry import LAYERS, LayerKind
+from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.shell.binding import bind_membership, control, form
 from bubbleviz_ui.shell.dock import fill
@@ -17,7 +17,7 @@ class LayersPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.boxes = {name: self._box(name, kind) for name, kind in LAYERS.items()}
+        self.boxes = {name: QCheckBox(kind.title) for name, kind in LAYERS.items()}
         self.cloud_colour = control(state, "cloud_colour")
         self.cloud_points = control(state, "cloud_points")
         self.opacity = control(state, "membrane_opacity")
@@ -25,15 +25,10 @@ class LayersPanel(QWidget):
         self.residual_max = control(state, "residual_max_m")
         self._lay_out()
         for name, box in self.boxes.items():
+            box.setToolTip(LAYERS[name].tip)
             bind_membership(box, state, "layers", name)
         self._enable()
         state.settings_changed.connect(self._enable)
-
-    def _box(self, name: str, kind: LayerKind) -> QCheckBox:
-        box = QCheckBox(kind.title)
-        box.setObjectName(f"layer_{name}")
-        box.setToolTip(kind.tip)
-        return box
 
     def _lay_out(self) -> None:
         line = QFrame()

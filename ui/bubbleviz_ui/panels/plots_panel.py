@@ -40,7 +40,6 @@ class PlotsPanel(QWidget):
 
     def __init__(self, state: SessionState, controller: Controller) -> None:
         super().__init__()
-        self.setObjectName("plots")
         self._state, self._controller = state, controller
         self._redraw = Throttle(self, self._draw, EVERY_MS)
         self._host = PlotHost()  # each plot is created when it is first chosen

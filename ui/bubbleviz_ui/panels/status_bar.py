@@ -225,7 +225,6 @@ class StatusBar(QStatusBar):
     def _label(self, name: str) -> QLabel:
         middle = Qt.TextElideMode.ElideMiddle  # keep start of the name and end of the file
         label = Elided(middle) if name == "sensor" else Steady()
-        label.setObjectName(f"status_{name}")
         label.setToolTip(TIPS[name])
         label.setAlignment(Qt.AlignmentFlag.AlignCenter)
         return label
@@ -253,7 +252,6 @@ class PerformancePopup(QFrame):
     ) -> None:
         super().__init__(parent, Qt.WindowType.Popup)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self.setObjectName("costs")
         self._state, self._controller, self._stage_times, self._view = (
             state,
             controller,

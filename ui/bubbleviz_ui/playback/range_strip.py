@@ -38,7 +38,6 @@ class RangeStrip(QWidget):
 
     def __init__(self) -> None:
         super().__init__()
-        self.setObjectName("ranges")
         self.setFixedHeight(HEIGHT)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setMouseTracking(True)

@@ -58,7 +58,6 @@ class Timeline(QWidget):
         self._state = state
         self._fixed_end: int | None = None
         self._dragged: tuple[int, int] | None = None
-        self.setObjectName("timeline")
         self.setFixedHeight(RULER + BAND)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)

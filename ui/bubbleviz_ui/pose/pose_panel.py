@@ -140,8 +140,7 @@ class StartBoxes(QWidget):
     def __init__(self, units: Units) -> None:
         super().__init__()
         self._units = units
-        self.places = [self._box(f"start_{name}") for name in NAMES]
-        self.angles = [self._box(f"start_r{name}") for name in NAMES]
+        self.places, self.angles = ([self._box() for _ in NAMES] for _ in range(2))
         grid = QGridLayout(self)
         grid.setContentsMargins(0, 0, 0, 0)
         for column, name in enumerate(NAMES):
@@ -183,9 +182,8 @@ class StartBoxes(QWidget):
         place = np.array([self._units.length.to_si(box.value()) for box in self.places])
         return pose_of_angles(place, np.radians([box.value() for box in self.angles]))
 
-    def _box(self, name: str) -> QDoubleSpinBox:
+    def _box(self) -> QDoubleSpinBox:
         box = QDoubleSpinBox()
-        box.setObjectName(name)
         box.setButtonSymbols(QDoubleSpinBox.ButtonSymbols.NoButtons)
         box.setKeyboardTracking(False)
         box.setMinimumWidth(46)
@@ -253,7 +251,6 @@ class PosePanel(QWidget):
         self.session.choose(str(path.absolute()))
 
     def _fill(self) -> None:
-        self.object.setObjectName("pose_object")
         self.object.setToolTip(
             "Object to register: a preset or a mesh file, which can be dropped on the window"
         )
@@ -288,8 +285,7 @@ class PosePanel(QWidget):
         column.addLayout(form)
         export = fill(QHBoxLayout(), QLabel("Export"), self.csv, self.tum)
         fill(column, self.curves, export, 1)
-        for name, value in self.values.items():
-            value.setObjectName(f"pose_{name}")
+        for value in self.values.values():
             value.setWordWrap(True)
             value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.values["place"].setToolTip(

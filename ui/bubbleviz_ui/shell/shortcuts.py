@@ -179,7 +179,6 @@ class ShortcutsDialog(QDialog):
         )
         self.reset_all = push_button("&Reset all", "", shortcuts.reset_all)
         self.problem = QLabel(wordWrap=True)
-        self.problem.setObjectName("problem")
         self._lay_out()
         self._fill()
         self._connect()
