@@ -194,7 +194,7 @@ def test_window_is_shown_while_its_source_is_prepared_and_can_be_closed(
     def close():
         for window in QApplication.topLevelWidgets():
             if window.isVisible() and isinstance(window, MainWindow) and window.busy.isVisible():
-                picture = window.view.pixels()
+                picture = as_pixels(window.view.grabFramebuffer())
                 middle, corner = (
                     picture[picture.shape[0] // 2, picture.shape[1] // 2],
                     picture[0, 0],

@@ -8,7 +8,7 @@ import pytest
 from fakes import FIRST_CONTACT, FRAMES, DentSource, record, small_sensor
 from PySide6.QtCore import QPoint, QPointF, Qt
 from PySide6.QtGui import QColor
-from window_driver import LEFT, graphics_view, view_texts
+from window_driver import LEFT, drawn_curve, graphics_view, view_texts
 
 from bubbleviz.recordings import Recording
 from bubbleviz_ui.shell import theme
@@ -47,7 +47,9 @@ def analyse(driver):
     driver.click(driver.window.plots.analyse)
     known = lambda: not len(driver.state.history.missing(frozenset({"patch"})))  # noqa: E731
     driver.wait(known)
-    driver.wait(lambda: len(driver.window.plots.plots["force"].data["force_n"][0]) == FRAMES)
+    driver.wait(
+        lambda: len(drawn_curve(driver.window.plots.plots["force"], "force_n")[0]) == FRAMES
+    )
 
 
 def heading(driver):
@@ -76,8 +78,8 @@ def test_force_has_its_interval_everywhere_and_the_measured_force_is_plotted(dri
     assert np.isclose(high[PRESSED] + low[PRESSED], 2.0 * force, rtol=0.05)
     assert high[PRESSED] > low[PRESSED] and np.isnan(low[0])  # no contact has no interval
     # the measured force is plotted too, without its bias
-    driver.wait(lambda: np.isfinite(plot.data["measured_force_n"][1]).all())
-    values = plot.data["measured_force_n"][1]
+    driver.wait(lambda: np.isfinite(drawn_curve(plot, "measured_force_n")[1]).all())
+    values = drawn_curve(plot, "measured_force_n")[1]
     np.testing.assert_allclose(values[:FIRST_CONTACT], 0.0, atol=1e-9)
     np.testing.assert_allclose(values[FIRST_CONTACT:], 2.0)
     driver.wait(lambda: "wrench 2.00 N" in heading(driver))

@@ -245,7 +245,7 @@ class Driver:
 
     def pixels(self):
         """Picture of the 3-D view, (height, width, 3)."""
-        return self.window.view.pixels()
+        return as_pixels(self.window.view.grabFramebuffer())
 
     def pressure_pixels(self):
         """Row and column of the pixels in the colours of contact pressure, (k, 2)."""
@@ -325,6 +325,11 @@ def view_texts(driver):
     return [text.GetInput() for text in text_actors(driver)] + [
         prop.GetTitle() for prop in seen if isinstance(prop, vtkScalarBarActor)
     ]
+
+
+def drawn_curve(plot, quantity):
+    """Times in s and values of a curve of a plot over time, as drawn."""
+    return plot.curves[quantity].getOriginalDataset()
 
 
 def colour_bar(driver, quantity):

@@ -11,7 +11,15 @@ from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
 from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
-from window_driver import CONTACT, LEFT, clipboard_text, graphics_view, hover, painted
+from window_driver import (
+    CONTACT,
+    LEFT,
+    clipboard_text,
+    drawn_curve,
+    graphics_view,
+    hover,
+    painted,
+)
 
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps
@@ -51,8 +59,8 @@ def plain(panel, name):
 def curve(driver, plot, name, known):
     """Times and values of a curve, once it has this many known values."""
     shown = driver.window.plots.plots[plot]
-    driver.wait(lambda: np.count_nonzero(np.isfinite(shown.data[name][1])) == known)
-    return shown.data[name]
+    driver.wait(lambda: np.count_nonzero(np.isfinite(drawn_curve(shown, name)[1])) == known)
+    return drawn_curve(shown, name)
 
 
 class Repeated:

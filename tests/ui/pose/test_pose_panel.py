@@ -94,7 +94,7 @@ class Bench(Driver):
 
     def green(self):
         """Pixels in the colour of a found object."""
-        pixels = self.window.view.pixels()
+        pixels = self.pixels()
         red, green, blue = (pixels[..., k].astype(int) for k in range(3))
         found = (green > red + 40) & (green > blue + 20) & ~axes_corner(pixels)
         return int(np.count_nonzero(found))

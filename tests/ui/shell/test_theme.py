@@ -36,13 +36,13 @@ def test_theme_menu_changes_all_parts_with_enough_contrast(drive):
     for title, colours in (("Light", theme.LIGHT), ("Dark", theme.DARK)):
         driver.trigger(f"View › Theme › {title}")
         driver.wait_until_shown()
-        corner = window.view.pixels()[-3, 3]
+        corner = driver.pixels()[-3, 3]
         assert np.allclose(corner, rgb(colours.view), atol=2)
         is_light = colours is theme.LIGHT
         for part in parts:
             assert (np.median(painted(part)) > 127) == is_light, part
         # Text of the readout, at the upper left of the view.
-        head = window.view.pixels()[:50, :160].reshape(-1, 3).astype(int)
+        head = driver.pixels()[:50, :160].reshape(-1, 3).astype(int)
         assert np.abs(head - rgb(colours.text)).sum(axis=1).min() < 12
         # The icon on the play button.
         play = painted(window.playback.buttons["Play / pause"]).reshape(-1, 3).astype(int)

@@ -67,7 +67,7 @@ def test_membrane_left_of_colour_bars_and_scale_bar_of_correct_length(drive):
         window.view.camera.Azimuth(180.0)  # nothing behind the bars
         window.view.camera.Dolly(0.1)
         driver.wait_until_shown()
-        ink = window.view.pixels()[:, -WIDTH + 20 :].min(axis=2) > 120  # right of the colours
+        ink = driver.pixels()[:, -WIDTH + 20 :].min(axis=2) > 120  # right of the colours
         rows = np.flatnonzero(np.diff(np.r_[0, ink.any(axis=1), 0])).reshape(-1, 2)
         assert (rows[1:, 0] - rows[:-1, 1]).min() >= 2
         assert rows[0, 0] > 0 and rows[-1, 1] < window.view.height()

@@ -60,21 +60,21 @@ def test_edges_and_points_are_smooth_or_fast_and_lit_as_by_vtk(drive, quality):
     driver = drive(quality=quality)
     window, smooth = driver.window, quality is SMOOTH
     driver.choose(layers=frozenset({"rim"}))
-    rim = window.view.pixels()
+    rim = driver.pixels()
     shades = share_of_shades(rim, theme.of(window).rim, theme.of(window).view)
     assert shades > 0.2 if smooth else shades == 0.0
 
     window.scene.callout.show_distance([np.array(window.view.camera.focal_point)])
     window.view.refresh()
     driver.wait_until_shown()
-    dot = (window.view.pixels().astype(int) - rim).any(axis=2)
+    dot = (driver.pixels().astype(int) - rim).any(axis=2)
     rows, columns = np.flatnonzero(dot.any(axis=1)), np.flatnonzero(dot.any(axis=0))
     inside = dot[np.ix_(rows, columns)]
     assert min(inside.shape) >= DOT - 1 and max(inside.shape) <= DOT
     corners = inside[np.ix_([0, -1], [0, -1])]
     assert corners.all() if not smooth else not corners.any()
     assert inside.mean() == pytest.approx(np.pi / 4 if smooth else 1.0, abs=0.1)
-    colours = window.view.pixels()[dot]
+    colours = driver.pixels()[dot]
     assert (len(np.unique(colours, axis=0)) > 5) is smooth  # spheres are shaded
     # playing shows fewer points with software rendering
     driver.choose(layers=frozenset({"cloud"}), cloud_colour="plain", cloud_points=200)

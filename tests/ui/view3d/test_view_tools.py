@@ -91,11 +91,11 @@ def test_viewpoints_exaggeration_vectors_colour_maps_and_section(drive):
     driver.window.scene.look_from("top")
     driver.wait_until_shown()
     view = driver.window.view
-    background = view.pixels()[5, 5]
+    background = driver.pixels()[5, 5]
     left, right = (screen_point(driver, np.array([x, 0.0, 0.03])) for x in (-0.04, 0.04))
 
     def drawn(place):
-        return bool(np.any(view.pixels()[place.y(), place.x()] != background))
+        return bool(np.any(driver.pixels()[place.y(), place.x()] != background))
 
     assert drawn(left) and drawn(right)
     tools.section.setFocus()

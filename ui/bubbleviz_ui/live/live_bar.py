@@ -297,11 +297,6 @@ class DisplayLatency(QObject):
     def _on_opened(self, _: object) -> None:
         self.begin()
 
-    @property
-    def ages_s(self) -> list[float]:
-        """Latency of each measured picture, s."""
-        return self._meter.ages_s
-
     def report(self) -> LatencyReport | None:
         """Latency statistics; None without live pictures."""
         return self._meter.report()

@@ -198,11 +198,6 @@ class TimePlot(FramePlot):
     def _at(self, name: str, frame: int) -> float:
         return float(self._state.history.quantity(name)[frame])
 
-    @property
-    def data(self) -> dict[str, tuple[Any, Any]]:
-        """Times in s and values in the chosen unit of each curve, as drawn."""
-        return {name: curve.getOriginalDataset() for name, curve in self.curves.items()}
-
 
 class Band:
     """The 95 % interval around a curve."""

@@ -17,7 +17,6 @@ from PySide6.QtGui import (
     QDragEnterEvent,
     QDropEvent,
     QGuiApplication,
-    QImage,
     QKeyEvent,
     QMouseEvent,
     QOffscreenSurface,
@@ -198,13 +197,6 @@ class View(QtInteractor):  # type: ignore[misc]
             for paint in self._painters:
                 paint(theme.of(self))
             self.refresh()
-
-    def pixels(self) -> np.ndarray:
-        """Current picture of the view, (height, width, 3) uint8."""
-        image = self.grabFramebuffer().convertToFormat(QImage.Format.Format_RGB888)
-        flat = np.frombuffer(image.constBits(), np.uint8)
-        rows = flat.reshape(image.height(), image.bytesPerLine())[:, : 3 * image.width()]
-        return rows.reshape(image.height(), image.width(), 3).copy()
 
     @property
     def pixel_ratio(self) -> float:
