@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, TypeVar, get_args
 
 from pydantic import TypeAdapter
 
@@ -255,7 +255,7 @@ class Settings(_SettingsBase):
         "inferno",
         "Colours",
         "Colours of the contact pressure, perceptually uniform",
-        titles=_own_titles("inferno", "viridis", "cividis", "magma", "plasma"),
+        titles=_own_titles(*get_args(ColourMap)),
     )
     exaggeration: float = _setting(
         1.0,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from PySide6.QtCore import QEvent, Qt
 from PySide6.QtGui import QColor, QPainter, QPalette
 from PySide6.QtWidgets import (
@@ -57,55 +55,41 @@ ON_BADGE = "#0b1118"
 """Text on a badge."""
 
 
-@dataclass(frozen=True)
 class Colours:
-    """Colours of a theme."""
+    """Colours of the dark theme, or of the light one."""
 
-    view: str  # view, cloud, rim, frustum: 3-D view: background, points, lines
-    cloud: str
-    rim: str
-    frustum: str
-    window: str  # window, field: Surfaces; `field` of input widgets
-    field: str
-    text: str  # text, dim, disabled: Text
-    dim: str
-    disabled: str
-    accent: str  # accent, on_accent: Selection, and text on it
-    on_accent: str
-    outline: str  # Frame of check boxes
-    error: str  # error, warning: The message bar
-    warning: str
-    free: str  # free, marker: On the timeline: frames without contact, marked frames
-    marker: str
-    good: str  # good, usable, doubtful: Grades
-    usable: str
-    doubtful: str
+    def __init__(self, *, light: bool) -> None:
+        def of_theme(dark: str, bright: str) -> str:
+            return bright if light else dark
+
+        # 3-D view: background, points, lines
+        self.view = of_theme("#191d22", "#f2f4f7")
+        self.cloud = of_theme("#cfd6de", "#38424d")
+        self.rim = of_theme("#c3ccd6", "#4a5561")
+        self.frustum = of_theme("#7f8b99", "#7f8b99")
+        # Surfaces, of input widgets, text
+        self.window = of_theme("#23282e", "#eceff3")
+        self.field = of_theme("#171a1e", "#ffffff")
+        self.text = of_theme("#e6ebf0", "#161b21")
+        self.dim = of_theme("#98a3af", "#55606c")
+        self.disabled = of_theme("#7d8792", "#757f89")
+        # Selection, text on it, frame of check boxes
+        self.accent = of_theme("#4c9fe8", "#1560b3")
+        self.on_accent = of_theme("#0b1118", "#ffffff")
+        self.outline = of_theme("#66717e", "#7b8794")
+        # The message bar
+        self.error = of_theme("#5a2b2b", "#f9d9d7")
+        self.warning = of_theme("#4a3d1e", "#fbeecb")
+        # On the timeline: frames without contact, marked frames
+        self.free = of_theme("#3d4c5c", "#a9bccf")
+        self.marker = of_theme("#f2c14e", "#b07a00")
+        # Grades
+        self.good = of_theme("#4cc38a", "#15803d")
+        self.usable = of_theme("#e5b567", "#9a6200")
+        self.doubtful = of_theme("#f07178", "#c2303a")
 
 
-_DARK_AND_LIGHT = {
-    "view": ("#191d22", "#f2f4f7"),
-    "cloud": ("#cfd6de", "#38424d"),
-    "rim": ("#c3ccd6", "#4a5561"),
-    "frustum": ("#7f8b99", "#7f8b99"),
-    "window": ("#23282e", "#eceff3"),
-    "field": ("#171a1e", "#ffffff"),
-    "text": ("#e6ebf0", "#161b21"),
-    "dim": ("#98a3af", "#55606c"),
-    "disabled": ("#7d8792", "#757f89"),
-    "accent": ("#4c9fe8", "#1560b3"),
-    "on_accent": ("#0b1118", "#ffffff"),
-    "outline": ("#66717e", "#7b8794"),
-    "error": ("#5a2b2b", "#f9d9d7"),
-    "warning": ("#4a3d1e", "#fbeecb"),
-    "free": ("#3d4c5c", "#a9bccf"),
-    "marker": ("#f2c14e", "#b07a00"),
-    "good": ("#4cc38a", "#15803d"),
-    "usable": ("#e5b567", "#9a6200"),
-    "doubtful": ("#f07178", "#c2303a"),
-}
-DARK, LIGHT = (
-    Colours(**{name: both[k] for name, both in _DARK_AND_LIGHT.items()}) for k in range(2)
-)
+DARK, LIGHT = Colours(light=False), Colours(light=True)
 
 
 def of(widget: QWidget) -> Colours:
