@@ -14,7 +14,7 @@ from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -27,9 +27,9 @@ from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.app import screen_for_pictures
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.importing.import_dialog import RATE, ImportDialog
-from bubbleviz_ui.model.registry import PANELS, PLOTS
+from bubbleviz_ui.model.registry import IMAGES, PANELS, PLOTS
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.model.settings import ComparedSetting, ImageName, Settings
+from bubbleviz_ui.model.settings import ComparedSetting, Settings
 from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.shortcuts import ShortcutsDialog
@@ -162,7 +162,7 @@ def workbench(session: WindowSession, folder: Path, theme: str) -> None:
     open_panel(session, "plots", plots=frozenset(PLOTS))
     picture(session, folder / f"review{end}.png", LARGE)
     session.state.set_range(None)
-    open_panel(session, "images", images=frozenset(get_args(ImageName)))
+    open_panel(session, "images", images=frozenset(IMAGES))
     picture(session, folder / f"images{end}.png", LARGE)
     before = {name: getattr(session.state.settings, name) for name in SECTION}
     open_panel(session, "tools", **SECTION)

@@ -20,7 +20,6 @@ CloudColour = Literal["residual", "patch", "plain"]
 Axis = Literal["x", "y", "z"]
 ColourMap = Literal["inferno", "viridis", "cividis", "magma", "plasma"]
 """Perceptually uniform (van der Walt and Smith 2015; Nuñez 2018)."""
-ImageName = Literal["depth", "change", "residual", "noise", "used", "patch", "colour", "flow"]
 ThemeName = Literal["system", "dark", "light"]
 
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
@@ -214,8 +213,8 @@ class Settings(_SettingsBase):
         "Quantities to plot; hidden ones are not computed",
         titles={name: plot.title for name, plot in PLOTS.items()},
     )
-    images: frozenset[ImageName] = _setting(
-        frozenset[ImageName]({"depth", "change", "residual"}),
+    images: frozenset[str] = _setting(
+        frozenset({"depth", "change", "residual"}),
         "Images",
         "Images to show; others are not computed",
         titles={name: image.title for name, image in IMAGES.items()},
