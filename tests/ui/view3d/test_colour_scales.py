@@ -187,7 +187,7 @@ def check_lock(driver, sensor, quantity, unit):
     driver.wait(lambda: f"{title}\n({unit}), locked" in view_texts(driver))
     # another recording has the same scale, although its own would be smaller
     calm = lambda sensor: LongSource(sensor, set(), usual=0)  # noqa: E731
-    driver.open("calm", calm, sensor)
+    driver.open("calm", calm, sensor, playing=False)
     driver.wait(lambda: driver.state.facts.frames == 160)
     driver.wait_until_solved_ahead()
     assert scale(driver, quantity) == end
