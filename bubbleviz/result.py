@@ -306,7 +306,8 @@ def wrench_about(point_m: np.ndarray) -> np.ndarray:
 class Slip:
     """Parts of a contact patch that slip relative to the rest of it.
 
-    Slip of the entire patch is not detected, as it leaves no part to compare with.
+    As displacement since contact. Slip of the entire patch is not detected, as it leaves no part to
+    compare with: after slip of a part, there is none in frames in which friction does not grow.
     """
 
     # (k, 3), material points in the patch tracked by optical flow since they came into contact, m

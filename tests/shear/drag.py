@@ -1,15 +1,19 @@
 """A small sensor, and objects that stick to its membrane, simulated on a finer mesh."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bubbleviz.inverse import EstimatorOptions
+from bubbleviz.membrane import Gas, RubberForward, build_mesh, build_rubber
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
-from bubbleviz.simulation import DepthNoise
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation import DepthNoise, study_object, touching_height
 from tests.oracles.flow_sighting import FlowSighting, sighting
-from tests.oracles.stuck_press import Motion, ShearTruth, pressed, shear_sensor
+from tests.oracles.stuck_press import OFFSET_M, Motion, ShearTruth, pressed, shear_sensor
 from tests.small_press import changed
 
 NOISE = DepthNoise(absolute_m=5e-5)
@@ -37,6 +41,33 @@ def stuck(name, depth_m, drag_m, twist_deg):
     """The object dragged aside and twisted, with all that touched it."""
     drag = np.array([drag_m, 0.4 * drag_m, 0.0])
     return press(name, depth_m)[0].moved(Motion(drag, np.radians(twist_deg)))
+
+
+def slides(name, depth_m, friction, poses):
+    """A pressed object with Coulomb's friction, moved by `poses`: drags along x, m, and twists.
+
+    Also the share of the contact that slid by more than 0.1 mm, and the longest slip.
+    """
+    found, obj = sensor(), study_object(name)
+    mesh, aim = build_mesh(found, 1000), np.eye(4)
+    aim[:2, 3] = OFFSET_M
+    aim[2, 3] = touching_height(obj, aim, mesh) - depth_m
+    rubber = build_rubber(found, mesh, SensorModel.of(found).tension_n_per_m)
+    forward = RubberForward(rubber, Gas.of(found.pneumatics, mesh))
+    path = []
+    for drag_m, twist_rad in poses:
+        pose = aim.copy()
+        pose[0, 3] += drag_m
+        pose[:3, :3] = Rotation.from_rotvec([0.0, 0.0, twist_rad]).as_matrix()
+        path.append(pose)
+    slid_m, start = np.zeros(len(mesh.nodes)), forward.press(obj, path[0])
+    for contact in forward.follow(obj, path, friction, start):
+        touching = contact.contact_pressure_pa > 0.0
+        slid_m = np.where(touching, slid_m + contact.slip_m, 0.0)
+        now = replace(mesh, nodes=mesh.deformed(contact.displacement_3d_m))
+        share = now.areas @ (slid_m > 1e-4) / now.areas[touching].sum()
+        moved = contact.displacement_3d_m
+        yield ShearTruth(mesh, moved, contact.nodal_force_n, now.normals), share, slid_m.max()
 
 
 class Eyes:
