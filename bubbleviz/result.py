@@ -310,12 +310,12 @@ class Slip:
     compare with: after slip of a part, there is none in frames in which friction does not grow.
     """
 
-    # (k, 3), material points in the patch tracked by optical flow since they came into contact, m
+    # (k, 3), material points inside the patch tracked by flow since they came into contact, m
     points_m: np.ndarray
     slip_m: np.ndarray  # (k, 3), their tangential motion relative to the object, m
     slipping: np.ndarray  # (k,) bool, those with slip above noise
-    share: float  # area of the slipping points over that of all, 0 to 1
-    share_sigma: float  # its standard deviation
+    share: float  # of the patch's area that slips, 0 to 1
+    share_sigma: float  # its standard deviation, by noise and parts that may slip unseen
 
 
 PoseStatus = Literal["ok", "lost", "no_contact", "few_points", "no_data"]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from scipy.special import ndtr
 from scipy.stats import chi2
@@ -44,13 +45,14 @@ _MOST_JUMP_S = 0.3  # where frames between them were left out
 class SlipStart:
     """State of `SlipFinder.find` between frames."""
 
-    point: np.ndarray  # (k,) int, of the flow observer, ascending: points inside the patch
+    point: np.ndarray  # (k,) int, of the flow observer, ascending: points in the patch
     # (k, 3), position of each on the object when it came into contact, in B at the time of the
     # first contact, m
     anchor_m: np.ndarray
     covariance: np.ndarray  # (k, 3, 3), of the anchors, m²
-    stuck: np.ndarray  # (k,) bool, points that have not slipped since
+    stuck: np.ndarray  # (k,) bool, points inside that have not slipped since
     compared: bool  # whether enough points stuck in an earlier frame of the contact
+    inside: np.ndarray  # (k,) bool, points surely inside the patch
     friction: float  # see `_friction`
     frame: int  # index and time of the frame it was found in
     time_s: float
@@ -84,44 +86,42 @@ class SlipFinder:
         """Slip of one frame, None if too few points stick; and the state for the next frame."""
         if estimate.status != "ok" or estimate.flow is None or flow is None:
             return None, None
-        point, pinned = self._inside(estimate, flow)
-        now, friction = (frame.index, frame.time_s), self._friction(estimate)
-        all_stuck = np.ones(len(point), bool)
-        first = SlipStart(
-            point, pinned.position, pinned.covariance, all_stuck, False, friction, *now
-        )
+        point, pinned, inside = self._touching(estimate, flow)
+        friction = self._friction(estimate)
+        now = inside, friction, frame.index, frame.time_s
+        first = SlipStart(point, pinned.position, pinned.covariance, inside, False, *now)
         if start is None or not start.leads_to(frame):
             return None, first
         _, known, before = np.intersect1d(point, start.point, return_indices=True)
-        stuck = start.stuck[before]
+        same = ~inside[known] | start.inside[before]  # others have come in from the edge
+        known, before = known[same], before[same]
+        stuck, tracked = start.stuck[before] & inside[known], inside[known]
         if np.count_nonzero(stuck) < _MIN_STUCK:
-            first = replace(first, stuck=all_stuck & (not start.compared))
+            first = replace(first, stuck=inside & (not start.compared))
             return None, replace(first, compared=start.compared)
         moved = _Motions.of(pinned, known, start.anchor_m[before], start.covariance[before])
         motion = moved.relative_to_stuck(stuck)
         if motion is None:
-            return None, replace(first, stuck=~all_stuck, compared=True)
-        still = stuck & (motion.sigmas <= moved.limit)
-        slid = np.count_nonzero(~still) >= _MIN_STUCK
+            return None, replace(first, stuck=np.zeros_like(inside), compared=True)
+        beyond = motion.sigmas - moved.limit
+        still = stuck & (beyond <= 0.0)
+        slid = np.count_nonzero(tracked & ~still) >= _MIN_STUCK
         if slid and friction < _GROWTH * start.friction:  # perhaps all of it slides
-            return None, replace(first, stuck=~all_stuck, compared=True)
-        area = pinned.area[known]
-        likely = ndtr(motion.sigmas - moved.limit)
+            return None, replace(first, stuck=np.zeros_like(inside), compared=True)
         slip = Slip(
-            pinned.position[known],
-            np.einsum("ki,kix->kx", motion.slip_m, moved.tangents),
-            motion.sigmas > moved.limit,
-            float(area @ (motion.sigmas > moved.limit) / area.sum()),
-            float(np.sqrt(area**2 @ (likely * (1.0 - likely))) / area.sum()),
+            pinned.position[known][tracked],
+            np.einsum("ki,kix->kx", motion.slip_m, moved.tangents)[tracked],
+            beyond[tracked] > 0.0,
+            *_share(pinned, known, tracked, beyond),
         )
         back, anchors = motion.turn.inv(), np.empty_like(pinned.position)
         anchors[:] = back.apply(pinned.position - motion.shift_m)
         anchors[known] = start.anchor_m[before]
         covariance = pinned.covariance.copy()
         covariance[known] = start.covariance[before]
-        sticks = np.ones(len(point), bool)
+        sticks = inside.copy()
         sticks[known] = still
-        return slip, SlipStart(point, anchors, covariance, sticks, True, friction, *now)
+        return slip, SlipStart(point, anchors, covariance, sticks, True, *now)
 
     def _friction(self, estimate: Estimate) -> float:
         """Friction of the whole contact over its normal force.
@@ -138,8 +138,10 @@ class SlipFinder:
         along = np.linalg.norm(friction.sum(axis=0))
         return float(np.hypot(along, turning) / load.sum())
 
-    def _inside(self, estimate: Estimate, flow: FlowField) -> tuple[np.ndarray, PinnedPoints]:
-        """Points that are surely inside the patch, and their positions.
+    def _touching(
+        self, estimate: Estimate, flow: FlowField
+    ) -> tuple[np.ndarray, PinnedPoints, np.ndarray]:
+        """Points in the patch, their positions, and which are surely inside.
 
         Within the uncertainty of the edge, points may not touch, and those move relative to the
         object.
@@ -148,14 +150,36 @@ class SlipFinder:
         pressure = estimate.contact_pressure_pa
         level = self._edge.level_set(pressure, self._held_pa, self._resolution_m)
         depth = self._observer.interpolated(level, measured.point)
-        inside = np.flatnonzero(depth > self._edge.blur_m(self._resolution_m))
-        point = measured.point[inside]
-        return point, self._observer.pinned(
+        touching = np.flatnonzero(depth > 0.0)
+        point = measured.point[touching]
+        pinned = self._observer.pinned(
             self._mesh.deformed(estimate.motion_m),
             point,
-            measured.moved_px[inside],
-            measured.sigma_px[inside],
+            measured.moved_px[touching],
+            measured.sigma_px[touching],
         )
+        return point, pinned, depth[touching] > self._edge.blur_m(self._resolution_m)
+
+
+def _share(
+    pinned: PinnedPoints, known: np.ndarray, tracked: np.ndarray, beyond: np.ndarray
+) -> tuple[float, float]:
+    """Share of the patch's area that slips, and its σ, by known points beyond a limit by some σ.
+
+    The edge slips where the next tracked point does. Elsewhere the parts of it that move may slip,
+    as slip begins there, or not touch. Once most of the patch slips, the rest, which is the
+    reference, may slip more slowly.
+    """
+    tree = cKDTree(pinned.position[known[tracked]])
+    nearest = np.asarray(tree.query(pinned.position)[1])
+    area = np.bincount(nearest, pinned.area, np.count_nonzero(tracked))
+    slips, likely = beyond[tracked] > 0.0, ndtr(beyond[tracked])
+    unsure = known[~tracked & (beyond > 0.0)]
+    rest = pinned.area[unsure] @ ~slips[nearest[unsure]]
+    if area @ slips > 0.5 * area.sum():
+        rest = area @ ~slips
+    variance = area**2 @ (likely * (1.0 - likely)) + (0.5 * rest) ** 2  # half of a range: 2 σ
+    return float(area @ slips / area.sum()), float(np.sqrt(variance) / area.sum())
 
 
 class _RelativeMotion(NamedTuple):

@@ -30,29 +30,32 @@ def slips(name, depth_m, frames, sliding_beyond):
 
 
 @pytest.mark.parametrize(
-    "poses",
+    ("name", "depth_m", "poses"),
     [
-        [(k * 4e-4, 0.0) for k in range(9)],
+        ("puck", 0.005, [(k * 4e-4, 0.0) for k in range(9)]),
         *(
-            pytest.param(poses, marks=pytest.mark.long)
-            for poses in (
-                [(k * 4e-4, 0.0) for k in (*range(6), *range(4, -7, -1))],
-                [(0.0, 0.03 * k) for k in range(12)],
+            pytest.param(name, depth_m, poses, marks=pytest.mark.long)
+            for name, depth_m, poses in (
+                ("sphere", 0.008, [(k * 4e-4, 0.0) for k in range(11)]),
+                ("puck", 0.005, [(k * 4e-4, 0.0) for k in (*range(6), *range(4, -7, -1))]),
+                ("puck", 0.005, [(0.0, 0.03 * k) for k in range(12)]),
             )
         ),
     ],
 )
-def test_slip_by_coulombs_law_until_all_of_the_patch_slides(poses):
+def test_slip_by_coulombs_law_until_all_of_the_patch_slides(name, depth_m, poses):
     """A part of it still seems rigid then, and would be taken for one that sticks."""
     eyes, told, true, longest_m = Eyes(1000), [], [], []
-    for seed, (truth, share, slid_m) in enumerate(slides("puck", 0.005, 0.5, poses)):
+    for seed, (truth, share, slid_m) in enumerate(slides(name, depth_m, 0.5, poses)):
         told.append(eyes.pipeline.process(eyes.see(truth, seed), frozenset({"slip"})).slip)
         true.append(share)
         longest_m.append(slid_m)
+    for slip, share in zip(told, true, strict=True):
+        assert slip is None or abs(slip.share - share) < 2.0 * slip.share_sigma + 0.15
     assert told[0] is None  # nothing to compare with
     assert [slip.share for slip in told[1:3]] == [0.0, 0.0]
-    begun = np.argmax(np.array(true) > 0.2)
-    assert told[begun].share > 3.0 * told[begun].share_sigma > 0.0
+    begun = np.argmax(np.array(true) > 0.2) + 1
+    assert told[begun].share > told[begun].share_sigma > 0.0
     slipped_m = np.linalg.norm(told[begun].slip_m, axis=1)
     assert 5e-5 < slipped_m.max() < longest_m[begun]  # which is at the edge
     whole = np.argmax(np.array(true) > 0.95)
