@@ -29,7 +29,9 @@ SIMULATED = {
 def made_with():
     """Processor and libraries, on which the last digits depend."""
     kernels = sorted({str(pool.get("architecture")) for pool in threadpool_info()})
-    return " ".join([platform.machine(), *kernels, np.__version__, scipy.__version__])
+    vectors = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    parts = [platform.machine(), *kernels, *vectors, np.__version__, scipy.__version__]
+    return " ".join(parts)
 
 
 def real_press():
