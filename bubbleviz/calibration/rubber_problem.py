@@ -5,11 +5,12 @@ difference of the tensions along x and y, and their shear, which only the rim ho
 stretched unequally over its rim has them. q = λ⁻⁶ = 1 − γ0/μh determines the rubber, whose
 stiffness μh may change linearly with x and y, and from middle to rim. When the gas pressure changes
 by a measured Δp, the shape depends on q, on (G + Δp)/G, on that unequal tension and the gradient,
-and in a press on the contact pressures. The unknowns are q, G, the unequal tension, the gradient,
-the contact pressures of the nodes in the dent (an inflation level has none), and the errors of the
-gas pressures. The residuals, each over its standard deviation, are the changes of range from rest,
-in which fixed errors of camera and mesh cancel; the differences of G from the sensor file or open
-chamber, and of unequal tension and gradient from their prior means; and the pressure errors.
+and in a press on the contact pressures and friction. The unknowns are q, G, the unequal tension,
+the gradient, the contact pressures of the nodes in the dent (an inflation level has none), the
+amplitudes of friction (see `contact_friction`), and the errors of the gas pressures. The residuals,
+each over its standard deviation, are the changes of range from rest, in which fixed errors of
+camera and mesh cancel; the differences of G from the sensor file or open chamber, and of unequal
+tension, gradient and friction from their prior means; and the pressure errors.
 
 The noise of a hundred thousand pixels averages out, but model errors do not, so the ranges would
 outweigh the prior knowledge. So their residuals are tempered: their weight is divided by the ratio
@@ -34,7 +35,7 @@ from bubbleviz.calibration.rest_frames import FrameSamples, collect
 from bubbleviz.calibration.surface import Quantity
 from bubbleviz.camera import BlockSquares, RangeObserver, ShapeRanges
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import PRESSURE_SCALE, RIM_SLACK_M
+from bubbleviz.inverse import FRICTION, PRESSURE_SCALE, RIM_SLACK_M, contact_friction
 from bubbleviz.membrane import (
     RUBBER_PARAMETERS,
     STRESS_DEGREE,
@@ -85,6 +86,7 @@ contact pressures; index 1 is G over its initial value."""
 _UNEQUAL = [2, 3]
 _NAMES = [name for name in RUBBER_PARAMETERS if name != "sheet_share"]
 """Parameters in the sensor file of the unknowns `_RUBBER`."""
+_FRICTIONS = 4  # amplitudes of `contact_friction`
 _NO_NODES = np.zeros(0, int)
 _STEP = 1e-3  # of q, relative, of unequal tension and gradient, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
@@ -149,7 +151,7 @@ class RubberProblem:
     def __init__(
         self,
         found: Identification,  # without rubber
-        shapes: Sequence[FrameSamples],  # levels, or a press
+        shapes: Sequence[FrameSamples],  # levels, or one press
         level_sigma_pa: float | None,  # of gas pressure differences between recordings
         *,
         pressed: bool,
@@ -192,13 +194,14 @@ class RubberProblem:
         ]
         ends = _MATERIAL + np.cumsum([0, *map(len, self._zones)])
         self._places = [slice(*pair) for pair in pairwise(ends.tolist())]
-        self._errors = slice(int(ends[-1]), int(ends[-1]) + 1 + len(shapes))
+        self._friction = slice(int(ends[-1]), int(ends[-1]) + (_FRICTIONS if pressed else 0))
+        self._errors = slice(self._friction.stop, self._friction.stop + 1 + len(shapes))
         self._size = self._errors.stop
         if level_sigma_pa is None:
             level_sigma_pa = PRESSURE_ERROR * (gauge_pa + max(0.0, *self.rises_pa))
         self._pressure_sigma_pa = np.hypot(pressures[:, 1], 0.0 if pressed else level_sigma_pa)
         # residuals that penalise rough contact pressures
-        self._smooth = np.zeros((self._errors.start - _MATERIAL, self._size))
+        self._smooth = np.zeros((self._friction.start - _MATERIAL, self._size))
         laplacian = cotangent_laplacian(mesh).tocsr()
         for zone, place in zip(self._zones, self._places, strict=True):
             if len(zone):
@@ -211,8 +214,11 @@ class RubberProblem:
         self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
 
     def _start_from_rest(self) -> None:
-        """Start the next equilibrium solve at rest, not at the shapes found last."""
+        """Start the next equilibrium solve at rest, without friction."""
         self._initial: Sequence[Shape | None] = [None] * len(self._shapes)
+        count = self._friction.stop - self._friction.start
+        # at amplitudes of 1, over G; 0 until a contact pressure is found
+        self._friction_forces = np.zeros((len(self._mesh.nodes), 3, count))
 
     @property
     def change_rms_m(self) -> float:
@@ -229,9 +235,11 @@ class RubberProblem:
 
     def _predicted(self, vector: np.ndarray, membrane: RubberMembrane) -> list[Shape] | None:
         moved, out = membrane.mesh.nodes - self._mesh.nodes, []
+        added = -self._friction_forces @ vector[self._friction]
         for pressure, last in zip(self._pressures(vector), self._initial, strict=True):
             x, factor = (self._mesh.nodes, None) if last is None else (last[0].nodes_m, last[1])
-            equilibrium = settled(membrane, self._factoriser, pressure, x + moved, factor)
+            own = self._factoriser, pressure, x + moved, factor, added
+            equilibrium = settled(membrane, *own)
             if equilibrium is None:
                 return None
             x, factor = equilibrium
@@ -270,7 +278,9 @@ class RubberProblem:
         rubber = self._rubber(*values.tolist())
         steps = _STEP * np.where(np.arange(len(values)) == 0, values, 1.0)
         stepped = [self._rubber(*(values + step).tolist()) for step in np.diag(steps)]
-        last = 1 + len(stepped)  # column by the pressure, before those by the contact pressures
+        # columns by the pressure, and after those by friction, by contact pressures
+        last = 1 + len(stepped)
+        first = last + 1 + self._friction_forces.shape[2]  # by contact pressures
         rest_force, slopes, by_stress = rubber.force(rubber.mesh.nodes), [], []
         gauge_pa, rises_pa = self._gauge_pa * vector[1], self._rises_pa(vector)
         error, moving = np.arange(self._size)[self._errors], rubber.moving
@@ -280,12 +290,13 @@ class RubberProblem:
             x = view.nodes_m
             area = rubber.volume_gradient(x)
             residual = rubber.residual(x, pressure)
-            forces = np.zeros((*x.shape, last + 1 + len(zone)))
+            forces = np.zeros((*x.shape, first + len(zone)))
             forces[..., 0] = rest_force - rubber.force(x)
             for j, (other, step) in enumerate(zip(stepped, steps, strict=True), start=1):
                 forces[..., j] = (residual - other.residual(x, pressure)) / step
             forces[..., last] = area / gauge_pa
-            forces[zone, :, last + 1 + np.arange(len(zone))] = -area[zone]
+            forces[..., last + 1 : first] = self._friction_forces
+            forces[zone, :, first + np.arange(len(zone))] = -area[zone]
             motions = np.zeros_like(forces)
             right = np.ascontiguousarray(forces[moving].reshape(3 * len(moving), -1))
             motions[moving] = factor.solve(right).reshape(len(moving), 3, -1)
@@ -295,7 +306,8 @@ class RubberProblem:
             by_rise = rows[:, last]  # per pascal
             of_shape[:, _RUBBER] = rows[:, 1:last]
             of_shape[:, 1] = -rises_pa[k] / vector[1] * by_rise
-            of_shape[:, place] = rows[:, last + 1 :]
+            of_shape[:, self._friction] = rows[:, last + 1 : first]
+            of_shape[:, place] = rows[:, first:]
             of_shape[:, error[0]] = -self._pressure_sigma_pa[0] * by_rise
             of_shape[:, error[1 + k]] = self._pressure_sigma_pa[1 + k] * by_rise
             slopes.append(of_shape)
@@ -344,6 +356,8 @@ class RubberProblem:
             others_m = self._other_models(vector)
             temper = self._covariance(vector, others_m, np.inf, 1.0)[1]
             self._expect(vector[0])
+            if self._pressed:
+                self._add_friction(vector)
             vector = self._minimise(vector, self._scale(vector), np.inf, temper)
             found = vector, others_m, temper
             if found[0][0] > 1.01 * SMALLEST_Q:
@@ -356,28 +370,38 @@ class RubberProblem:
             " recorded gas pressures, and the pressures in the sensor file"
         )
 
+    def _add_friction(self, vector: np.ndarray) -> None:
+        """Set the forces of friction to those of a press found without it.
+
+        On simulated presses, setting them again from the next fit changes λ by 0.002.
+        """
+        found, ((zone,), (place,)) = self._shapes_at(vector), (self._zones, self._places)
+        assert found is not None
+        x, touching = found[0][0].nodes_m, vector[place] > 0.0
+        nodes, pressure = zone[touching], vector[place][touching]
+        area = self._rubber(*vector[_RUBBER].tolist()).volume_gradient(x)
+        if len(nodes):
+            self._friction_forces[nodes] = contact_friction(x[nodes], area[nodes], pressure)
+        self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
+
     def _expect(self, q: float) -> None:
         """Set the standard deviation of the unequal tension by the stretch λ = q^(−1/6).
 
         A flat sheet may be stretched unequally before it is inflated, not by inflation, and a
         moulded dome has no such stretch: its λ is less than a flat sheet needs for its area.
-        In a press it is only fitted between film and sheet: friction, which is not modelled,
-        changes a dent as unequal stretch does.
         """
         stretch = np.clip(q, SMALLEST_Q, LARGEST_Q) ** (-1.0 / 6.0)
         by_inflation = np.sqrt(self._mesh.facet_areas.sum() / self._mesh.facet_vectors[:, 2].sum())
         part = np.clip((stretch - by_inflation) / (stretch - 1.0), 0.01, 1.0)  # 0 is singular
-        self._unequal_sigma, self._fitted_sigma = (
-            np.hypot(share * _UNEQUAL_SIGMA, self._of_sheet / np.sqrt(12.0))
-            for share in (part, 0.01 if self._pressed else part)
-        )
+        self._unequal_sigma = np.hypot(part * _UNEQUAL_SIGMA, self._of_sheet / np.sqrt(12.0))
 
     def _priors(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and right sides of the priors on G, stress, gradient, and gas pressures."""
+        """Rows and right sides of the priors on all but q and contact pressures."""
         sigma, mean = np.ones(self._size), np.zeros(self._size)
-        sigma[1:_MATERIAL] = gauge_sigma, *self._fitted_sigma, *3 * [_GRADIENT_SIGMA]
+        sigma[1:_MATERIAL] = gauge_sigma, *self._unequal_sigma, *3 * [_GRADIENT_SIGMA]
         mean[1:_MATERIAL] = self._means
-        known = [*range(1, _MATERIAL), *range(self._size)[self._errors]]
+        known = [*range(1, _MATERIAL), *range(self._size)[self._friction.start :]]
+        sigma[self._friction] = FRICTION
         rows = np.diag(1.0 / sigma)[known]
         return rows, rows @ mean
 
@@ -428,7 +452,7 @@ class RubberProblem:
         start[0] = np.clip(start[0], 1.001 * SMALLEST_Q, 0.999 * LARGEST_Q)
         start[1] = np.log(start[1])
         x_scale[:_MATERIAL] = 0.1, 0.1, *2 * [_UNEQUAL_SIGMA], *3 * [_GRADIENT_SIGMA]
-        x_scale[_MATERIAL : self._errors.start] = _PRESSURE_STEP
+        x_scale[_MATERIAL : self._friction.start] = _PRESSURE_STEP
         found = least_squares(
             residuals, start, jacobian, (low, high), x_scale=x_scale, max_nfev=_MAX_EVALUATIONS,
             loss=loss, xtol=tolerance, ftol=tolerance,  # type: ignore[arg-type]  # loss's name in stubs
@@ -454,12 +478,14 @@ class RubberProblem:
         priors, prior_values = self._priors(gauge_sigma)
         smooth = self._smooth.T @ self._smooth / temper
         prior = smooth + priors.T @ priors
+        # Friction acts in one part of the view, and without that part it would be unknown.
+        common = np.delete(np.arange(self._size), self._friction)
 
         def step(weight: np.ndarray) -> np.ndarray:
-            """Step of the material under other weights of the range residuals."""
+            """Step of the material under other weights of the range residuals, friction held."""
             right = rows.T @ (weight * z_known) - prior @ vector + priors.T @ prior_values
             normal = rows.T @ (weight[:, None] * rows) + prior
-            return np.linalg.solve(normal, right)[:_MATERIAL]
+            return np.linalg.solve(normal[common][:, common], right[common])[:_MATERIAL]
 
         by_data = rows.T @ (efficiency * weight[:, None] * rows) + smooth
         inverse = np.linalg.inv(by_data + priors.T @ priors)[:_MATERIAL]
@@ -491,7 +517,7 @@ class RubberProblem:
         covariance = covariance + inverse @ priors.T @ priors @ inverse.T
         # model errors may count more in the unequal tension than what is expected of it
         both, most = (_UNEQUAL, _UNEQUAL), self._unequal_sigma**2
-        covariance[both] = most if self._pressed else np.minimum(covariance[both], most)
+        covariance[both] = np.minimum(covariance[both], most)
         return covariance, temper
 
     def _other_models(self, vector: np.ndarray) -> list[np.ndarray]:

@@ -23,6 +23,8 @@ from .estimator import (
     EstimatorOptions as EstimatorOptions,
 )
 from .friction import (
+    FRICTION as FRICTION,
+    contact_friction as contact_friction,
     friction_loads as friction_loads,
     prior_scale as prior_scale,
 )

@@ -182,7 +182,8 @@ def friction_loads(
     forces = np.zeros((len(x), 3, 3 * len(large)))
     for k, number in enumerate(large):
         own = nodes[contact == number]
-        forces[own, :, 3 * k : 3 * k + 3] = _loads(x[own], area_vectors[own], pressure[own])
+        every = contact_friction(x[own], area_vectors[own], pressure[own])
+        forces[own, :, 3 * k : 3 * k + 3] = every[..., :3]
     return forces
 
 
@@ -202,8 +203,22 @@ def _tractions(
     return motions, forces
 
 
-def _loads(x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray) -> np.ndarray:
-    """Two slides and a spin of one contact of c nodes, (c, 3, 3), N."""
+def contact_friction(x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray) -> np.ndarray:
+    """Forces of friction of one contact for a unit of each amplitude, (c, 3, 4), N.
+
+    Two slides across its mean normal, a spin about it, and a spread away from it, which a membrane
+    has that sticks to the object while the contact grows: the first three are those that the
+    depth image of a frame determines. Each is a traction of about the contact pressure.
+
+    Parameters
+    ----------
+    x : (c, 3) array
+        Its nodes, m.
+    area_vectors : (c, 3) array
+        Of these nodes, m².
+    pressure : (c,) array
+        p_c > 0, Pa.
+    """
     area = np.linalg.norm(area_vectors, axis=1, keepdims=True)
     load, normal = pressure * area[:, 0], area_vectors / area
     axis = load @ normal
@@ -214,6 +229,7 @@ def _loads(x: np.ndarray, area_vectors: np.ndarray, pressure: np.ndarray) -> np.
     radius = np.sqrt(load @ (spin**2).sum(axis=1) / load.sum())  # 0 of a single node
     spin /= max(radius, np.finfo(float).tiny)
     slides = np.stack([first, np.cross(axis, first)], axis=1)
-    along = np.concatenate([np.broadcast_to(slides, (len(x), 3, 2)), spin[:, :, None]], axis=2)
+    turned = np.stack([spin, np.cross(spin, axis)], axis=2)
+    along = np.concatenate([np.broadcast_to(slides, (len(x), 3, 2)), turned], axis=2)
     along = along - normal[:, :, None] * np.einsum("ci,cij->cj", normal, along)[:, None]
     return load[:, None, None] * along

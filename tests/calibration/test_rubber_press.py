@@ -49,7 +49,7 @@ def truth():
     return pressed_rubber(STRETCH, MU_H)
 
 
-def pressed_rubber(stretch, mu_h, gauge_pa=G, flat=False):
+def pressed_rubber(stretch, mu_h, gauge_pa=G, flat=False, friction=0.0):
     """Sensor, meshes at rest and pressed, their gas pressures, and λ; on a mesh of its own."""
     dome = cap = mesh_cap(EllipsoidalCap.of(RIM, HEIGHT), 900)
     if flat:
@@ -65,7 +65,10 @@ def pressed_rubber(stretch, mu_h, gauge_pa=G, flat=False):
     ball = load_object("sphere")
     top = rest.nodes[:, 2].max() - ball.vertices[:, 2].min()
     there = pose(-0.012, 0.006, top - 0.006)
-    contact = RubberForward(membrane, Gas.of(true_air, rest)).press(ball, there)
+    forward = RubberForward(membrane, Gas.of(true_air, rest))
+    contact = forward.press(ball, there)
+    if friction:
+        (contact,) = forward.follow(ball, [there], friction)
     assert contact.converged
     pressed = replace(rest, nodes=rest.nodes + contact.displacement_3d_m)
     gas = np.array([0.0, contact.gas_pressure_change_pa]) + ATMOSPHERE_PA + gauge_pa
@@ -136,7 +139,7 @@ def test_press_determines_gauge_pressure_and_prestretch(truth, with_press):
     assert rubber.gauge.source == f"the press in press; {file}"
     assert rubber.gauge.low < G < rubber.gauge.high
     assert rubber.gauge.value == pytest.approx(G, rel=0.05)
-    assert rubber.gauge.half_width < 0.13 * G
+    assert rubber.gauge.half_width < 0.17 * G
     assert rubber.prestretch.low < stretch < rubber.prestretch.high
     mu_h = with_press.tension_n_per_m / (1.0 - rubber.prestretch.value**-6)
     assert mu_h == pytest.approx(MU_H, rel=0.05)
@@ -177,11 +180,11 @@ def test_open_chamber_fixes_the_gauge_pressure_and_the_press_the_prestretch(trut
 
 
 def test_stiff_rubber_has_a_prestretch_although_its_interval_holds_1():
-    """The camera tilts by 0.4 mm across the image before the press. Constant tension, which a
+    """The camera tilts by 0.6 mm across the image before the press. Constant tension, which a
     sensor without prestretch has, is the other extreme."""
     stiff = pressed_rubber(1.01, 1200.0)
     found, held = identified(stiff, air_pa=ATMOSPHERE_PA)
-    tilted = held.statistics.range_m + np.linspace(-2e-4, 2e-4, 160)
+    tilted = held.statistics.range_m + np.linspace(-3e-4, 3e-4, 160)
     held = replace(held, statistics=replace(held.statistics, range_m=tilted))
     vented = Quantity.normal(ATMOSPHERE_PA, 2.0, "open chamber")
     known = with_rubber(opened(found, vented), [], press=held)
@@ -232,3 +235,14 @@ def test_interval_of_an_oval_sheet_stretched_equally(stretch):
     known = with_rubber(found, [], press=held)
     assert known.prestretch.low < truth[-1] < known.prestretch.high
     assert known.gauge.low < 2500.0 < known.gauge.high
+
+
+def test_friction_of_the_press_is_no_lower_prestretch():
+    """As the contact grows the membrane sticks to the ball: a fit without friction has λ 1.02."""
+    truth = pressed_rubber(1.06, 330.0, friction=0.6)
+    found, held = identified(truth)
+    known = with_rubber(found, [], press=held)
+    assert known.prestretch.value == pytest.approx(truth[-1], abs=0.015)
+    assert known.prestretch.low < truth[-1] < known.prestretch.high
+    assert known.prestretch.high < 1.2
+    assert known.gauge.value == pytest.approx(G, rel=0.1)
