@@ -138,7 +138,7 @@ class Measured:
     # of the residual over σ², 1/m
     total: np.ndarray
     moment: np.ndarray
-    # (B, b), blocks at each distance from missing returns, 1 or 0; b is 0 if none are missing
+    # (B, b), blocks at each distance from missing or masked returns, 1 or 0; b is 0 without any
     border: np.ndarray
     # variance of the block means due to rounding of the depth to millimetres, (B,), m², or 0
     rounding_m2: np.ndarray | float = 0.0
@@ -254,6 +254,14 @@ class RangeObserver:
             self._block_of(pixel), return_index=True, return_counts=True
         )
         self.block_number = blocks  # number of every block, row by row over the image, (B,)
+        # pixels by row and column of blocks, those of masked holes included
+        filled = np.zeros((self.camera.intrinsics.height, self.camera.intrinsics.width), bool)
+        filled.ravel()[pixel] = True
+        filled = ndimage.binary_fill_holes(filled)
+        rows = -(-len(filled) // self.block)
+        self._whole = np.bincount(
+            self._block_of(np.flatnonzero(filled)), minlength=rows * self.columns
+        ).reshape(rows, self.columns)
         self._used = UsedPixels(
             number=pixel,
             block=np.repeat(np.arange(self.blocks), self._count),
@@ -347,16 +355,17 @@ class RangeObserver:
         """Blocks at each distance, see `Measured`, from those that lack most of their pixels.
 
         Most are three quarters: of blocks of four pixels, dropouts of 0.5 % of the pixels leave
-        out that many in one image of 500. Blocks with less than half of their pixels on the
-        membrane, as at its edge, do not count.
+        out that many in one image of 500. Masked pixels count as missing where others surround
+        them, as beside a specular spot in the frames of the identification. Blocks with less than
+        half of their pixels on the membrane, as at its edge, do not count.
         """
-        missing = (total < 0.25 * self._total) & (self._count > 0.5 * self.block**2)
+        row, column = np.divmod(self.block_number, self.columns)
+        known = np.zeros(self._whole.shape)
+        known[row, column] = total / self._total * self._count
+        missing = (known < 0.25 * self._whole) & (self._whole > 0.5 * self.block**2)
         if not missing.any():
             return np.zeros((self.blocks, 0))
-        row, column = np.divmod(self.block_number, self.columns)
-        elsewhere = np.ones((row.max() + 1, self.columns), bool)
-        elsewhere[row, column] = ~missing
-        distance = ndimage.distance_transform_cdt(elsewhere, "chessboard")[row, column]
+        distance = ndimage.distance_transform_cdt(~missing, "chessboard")[row, column]
         return (distance[:, None] == np.arange(_BORDER + 1)).astype(float)
 
     def change_noise(self, images: Sequence[Measured], lag: int) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.camera import IMAGE_ERRORS
+from bubbleviz.camera import IMAGE_ERRORS, PixelModel
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, depth_image_of, estimator, pressed
@@ -107,6 +107,21 @@ def test_returns_biased_beside_a_specular_spot_leave_the_force_in_its_interval(
     error = np.abs(estimate.force_n - contact.nodal_force_n.sum(axis=0))
     assert (error < 1.96 * estimate.force_sigma_n).all()
     assert np.linalg.norm(error) < 0.02 * np.linalg.norm(estimate.force_n)
+
+
+@pytest.mark.parametrize("bias_m", [0.0, 5e-4, -1e-3])
+def test_a_specular_spot_of_the_identification_may_have_another_border_in_a_press(bias_m):
+    """Its pixels are masked; here all of them have returns, those beside the mask biased ones."""
+    mesh, contact = pressed("sphere", 0.004, 0.008)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    rest = depth_image_of(mesh, np.zeros_like(mesh.nodes), NOISE_M)
+    row, column = np.unravel_index(np.nanargmax(rest - image), image.shape)
+    away = np.hypot(ROWS - row, COLUMNS - column) / image.shape[1]
+    pixels = PixelModel(away >= 0.06, np.zeros_like(away), np.full(away.shape, NOISE_M))
+    estimate, _ = estimator(pixels=pixels).estimate(image + bias_m * (away < 0.088))
+    error = np.abs(estimate.force_n - contact.nodal_force_n.sum(axis=0))
+    assert (error < 1.96 * estimate.force_sigma_n).all()
+    assert np.linalg.norm(error) < 0.05 * np.linalg.norm(estimate.force_n)
 
 
 def test_a_surface_far_outside_the_membrane_is_refused_without_a_solve(solver):

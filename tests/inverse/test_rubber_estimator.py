@@ -49,7 +49,8 @@ def estimator(nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0
         mesh, GAUGE, changed.get("tension", TENSION), prestretch, slack
     )
     rubber = RubberBubble(membrane, gas_of(mesh))
-    return Estimator(RangeObserver(CAMERA, mesh, relative, block=3), rubber)
+    observer = RangeObserver(CAMERA, mesh, relative, changed.get("pixels"), block=3)
+    return Estimator(observer, rubber)
 
 
 def depth_image_of(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
