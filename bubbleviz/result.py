@@ -306,8 +306,8 @@ def wrench_about(point_m: np.ndarray) -> np.ndarray:
 class Slip:
     """Parts of a contact patch that slip relative to the rest of it.
 
-    As displacement since contact. Slip of the entire patch is not detected, as it leaves no part to
-    compare with: after slip of a part, there is none in frames in which friction does not grow.
+    Slip is displacement since contact. It is only known relative to a part that sticks: a frame has
+    none of these numbers once friction has stopped growing after some slip, as all may slide then.
     """
 
     # (k, 3), material points inside the patch tracked by flow since they came into contact, m

@@ -5,8 +5,9 @@ when it came into contact. The object's motion since then is the rigid motion of
 sticking points; the motion of a point relative to it, along the membrane, is its slip. If a whole
 patch slides at once, its points do not move relative to each other: slip can only be detected
 relative to a part that sticks. While a part sticks and the object moves on, friction grows; where
-all slides, it is Coulomb's. Once it stops growing after a part has slid, or too few points are left
-that move like one rigid body, slip is unknown until the contact ends.
+all slides, it is Coulomb's, and the membrane stands still as in a hold. So once friction stops
+growing after a part has slid, or too few points are left that move like one rigid body, slip is
+unknown until the contact ends.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from scipy.stats import chi2
 from bubbleviz.camera import FlowObserver, PinnedPoints
 from bubbleviz.inverse import PatchEdge
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.result import Estimate, Slip
+from bubbleviz.result import HALF_95, Estimate, Slip
 
 if TYPE_CHECKING:
     from bubbleviz.camera import FlowField
@@ -112,7 +113,7 @@ class SlipFinder:
             pinned.position[known][tracked],
             np.einsum("ki,kix->kx", motion.slip_m, moved.tangents)[tracked],
             beyond[tracked] > 0.0,
-            *_share(pinned, known, tracked, beyond),
+            *_share(pinned, known, tracked, motion.sigmas, moved.limit),
         )
         back, anchors = motion.turn.inv(), np.empty_like(pinned.position)
         anchors[:] = back.apply(pinned.position - motion.shift_m)
@@ -162,23 +163,28 @@ class SlipFinder:
 
 
 def _share(
-    pinned: PinnedPoints, known: np.ndarray, tracked: np.ndarray, beyond: np.ndarray
+    pinned: PinnedPoints, known: np.ndarray, tracked: np.ndarray, sigmas: np.ndarray, limit: float
 ) -> tuple[float, float]:
-    """Share of the patch's area that slips, and its σ, by known points beyond a limit by some σ.
+    """Share of the patch's area that slips, and its σ, by motions of known points in σ.
 
     The edge slips where the next tracked point does. Elsewhere the parts of it that move may slip,
-    as slip begins there, or not touch. Once most of the patch slips, the rest, which is the
-    reference, may slip more slowly.
+    as slip begins there, or not touch. Once some points slip, others that move significantly may
+    slip by less than the limit; once most of the patch slips, the rest, which is the reference,
+    may.
     """
+    beyond = sigmas - limit
     tree = cKDTree(pinned.position[known[tracked]])
     nearest = np.asarray(tree.query(pinned.position)[1])
     area = np.bincount(nearest, pinned.area, np.count_nonzero(tracked))
     slips, likely = beyond[tracked] > 0.0, ndtr(beyond[tracked])
     unsure = known[~tracked & (beyond > 0.0)]
     rest = pinned.area[unsure] @ ~slips[nearest[unsure]]
+    if slips.any():
+        rest += area @ (~slips & (sigmas[tracked] > HALF_95))
     if area @ slips > 0.5 * area.sum():
         rest = area @ ~slips
-    variance = area**2 @ (likely * (1.0 - likely)) + (0.5 * rest) ** 2  # half of a range: 2 σ
+    # that all of the rest slips is as unlikely as 2 σ
+    variance = area**2 @ (likely * (1.0 - likely)) + (0.5 * rest) ** 2
     return float(area @ slips / area.sum()), float(np.sqrt(variance) / area.sum())
 
 
