@@ -11,6 +11,9 @@ from .identification import (
     open_chamber as open_chamber,
     rest_gauge as rest_gauge,
 )
+from .reference_press import (
+    reference_force as reference_force,
+)
 from .report import (
     before_after as before_after,
     local_tension_image as local_tension_image,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,12 +13,19 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import SyntheticSource, touching_height
+from bubbleviz.simulation import DepthNoise, SyntheticSource, touching_height
 
 _DEPTH = 0.15  # over the height of the dome; chosen
 
 
-def reference_press(pipeline: Pipeline) -> Frame | None:
+class Press(NamedTuple):
+    """A simulated press, and its true force (3,), N."""
+
+    frame: Frame
+    force_n: np.ndarray
+
+
+def reference_press(pipeline: Pipeline, noise: DepthNoise | None = None) -> Press | None:
     """Press of a ball on the apex, as the camera of the sensor sees it; None: not computable."""
     model = pipeline.model
     mesh, ball = model.mesh, load_object("sphere")
@@ -25,29 +33,38 @@ def reference_press(pipeline: Pipeline) -> Frame | None:
     pose[:2, 3] = mesh.nodes[top, :2]
     pose[2, 3] = touching_height(ball, pose, mesh) - _DEPTH * mesh.nodes[top, 2]
     try:
-        press = SyntheticSource(model, ball, pose[None])[0]
+        source = SyntheticSource(model, ball, pose[None], noise)
+        press, force_n = source[0], source.truth(0).force_n
     except (InputError, SolveError):
         return None
     depth = model.biased_depth(press.depth_m * model.camera.range_per_depth)
-    return replace(press, depth_m=depth.astype(np.float32))
+    return Press(replace(press, depth_m=depth.astype(np.float32)), force_n)
 
 
 def press_force(pipeline: Pipeline, press: Frame) -> tuple[np.ndarray, float] | None:
-    """Estimated force (3,) and half of the 95 % interval of its size, N; None: not trusted."""
+    """Estimated force (3,) and half of the 95 % interval of its size, N; None: no such estimate."""
     pipeline.restart()
     result = pipeline.process(press, frozenset({"patch"}))
-    if result.estimate is None or result.patch is None or not result.estimate.trusted:
+    if result.patch is None or result.estimate is None or result.estimate.status != "ok":
         return None
     return result.patch.force_n, result.estimate.force_half_width_n
 
 
 def reference_force(model: SensorModel) -> Quantity | None:
-    """Size of the force of the press, N, as estimated with a sensor file; None: not trusted."""
-    pipeline = Pipeline(model)
-    press = reference_press(pipeline)
-    found = None if press is None else press_force(pipeline, press)
-    if found is None:
+    """Force of the press as one image shows it, N; None: it shows none.
+
+    The value is the true one. Half of the interval is that of the estimate, or its error where that
+    is larger. λ and gauge pressure of the sensor file may be as wrong as their intervals say; a λ
+    without interval counts as exact.
+    """
+    pipeline, camera = Pipeline(model), model.sensor.camera
+    noise = DepthNoise(relative=camera.noise_relative)
+    press = reference_press(pipeline, noise)
+    found = None if press is None else press_force(pipeline, press.frame)
+    if press is None or found is None:
         return None
-    force, half_width = float(np.linalg.norm(found[0])), found[1]
+    force, error = float(np.linalg.norm(press.force_n)), np.linalg.norm(found[0] - press.force_n)
+    half_width = max(found[1], float(error))
     depth = 1e3 * _DEPTH * float(np.max(model.mesh.nodes[:, 2]))
-    return Quantity(force, force - half_width, force + half_width, f"{depth:.2g} mm")
+    source = f"a simulated press of {depth:.2g} mm"
+    return Quantity(force, force - half_width, force + half_width, source)

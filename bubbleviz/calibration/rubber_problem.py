@@ -140,7 +140,7 @@ Shape = tuple[ShapeRanges, Factor]
 
 
 class RubberProblem:
-    """Least squares in q, G, unequal tension, gradient, contact and errors of gas pressures.
+    """Least squares in q, G, unequal tension, gradient, contact, friction, gas pressure errors.
 
     G is relative to its initial value, contact pressures to G, and the errors of the gas pressures
     of rest and shapes to their standard deviations.
@@ -355,14 +355,19 @@ class RubberProblem:
             vector = self._minimise(start, None, np.inf, 1.0)
             others_m = self._other_models(vector)
             temper = self._covariance(vector, others_m, np.inf, 1.0)[1]
-            self._expect(vector[0])
+            expected = vector[0]
+            self._expect(expected)
             if self._pressed:
                 self._add_friction(vector)
             vector = self._minimise(vector, self._scale(vector), np.inf, temper)
             found = vector, others_m, temper
+            kept = self._friction_forces, expected
             if found[0][0] > 1.01 * SMALLEST_Q:
                 break
-        if found is not None:
+        if found is not None:  # a later start may have had no equilibrium
+            self._friction_forces, expected = kept
+            self._expect(expected)
+            self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
             return found
         raise InputError(
             f"{self._rest.source_name}: no rubber of this shape at rest explains the shapes in"

@@ -436,8 +436,9 @@ def _force_error(pipeline: Pipeline, rest: _RestComparison) -> tuple[float | Non
     press = reference_press(pipeline)
     if press is None:
         return None, None
-    drifted = replace(press, depth_m=(press.depth_m + rest.drift_m()).astype(np.float32))
-    before, after = press_force(pipeline, press), press_force(pipeline, drifted)
+    depth_m = (press.frame.depth_m + rest.drift_m()).astype(np.float32)
+    before = press_force(pipeline, press.frame)
+    after = press_force(pipeline, replace(press.frame, depth_m=depth_m))
     if before is None or after is None:
         return None, None
     return float(np.linalg.norm(before[0])), float(np.linalg.norm(after[0] - before[0]))

@@ -58,7 +58,9 @@ def headline(found: Identification, pressure: PressureText = pascals) -> str:
     tension = found.tension
     value, low, high = tension.possible().texts(2)
     force = found.reference_force
-    forces = "" if force is None else f"; forces ±{_percent(_relative(force))}"
+    forces = "" if force is None else f"; force of a press ±{_percent(_relative(force))}"
+    if forces and found.prestretch is None and found.given.membrane.prestretch is not None:
+        forces += " if λ is right"
     return (
         f"{grade(found)}: γ0 = {value} N/m, 95 % interval {low} to {high} "
         f"(±{_percent(_relative(tension))}), at {pressure(found.gauge.value)} gauge pressure"
@@ -140,10 +142,15 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         more = _FARTHER if found.shapes_kind == "levels" else _LEVELS
         out.append(f"λ is not determined: {found.why_not}. {effect}: {more}.")
     force = found.reference_force
-    if force is not None and _relative(force) > _GOOD_FORCE:
+    if force is None:
         out.append(
-            f"The force of a simulated press of {force.source} is known to "
-            f"±{_percent(_relative(force))}: narrow the widest of the intervals below."
+            "A simulated press shows no force, so that of real ones is unknown: check the camera's"
+            " pose and noise in the sensor file."
+        )
+    elif _relative(force) > _GOOD_FORCE:
+        out.append(
+            f"The force of {force.source} is known to ±{_percent(_relative(force))} (95 %): narrow"
+            " the intervals of λ, gauge pressure and unequal tension, or reduce the noise of depth."
         )
     frames = found.samples.statistics.frames
     if frames < _MIN_FRAMES:

@@ -222,7 +222,10 @@ def make_config(options: SessionOptions) -> Any:
     endpoint = options.connect or options.listen or ""
     if endpoint.startswith(("tcp/", "tls/")) and not _ENDPOINT.match(endpoint):
         # without a port Zenoh tries for ten seconds, and names no reason
-        raise InputError(f"{options.text}: {endpoint} names no host and port, as {ROUTER} does")
+        raise InputError(
+            f"{options.text}: {endpoint} is no host with a port; give it as {ROUTER}, an IPv6 "
+            "address in brackets"
+        )
     settings: dict[str, Any] = {
         "mode": "client" if connects else "peer",
         "connect/endpoints": [options.connect] if connects else [],

@@ -11,10 +11,12 @@ from bubbleviz.calibration import (
     grade,
     headline,
     parameters,
+    reference_force,
     sentence,
 )
 from bubbleviz.membrane import Prestress
-from bubbleviz.sensor import changed
+from bubbleviz.sensor import changed, load_sensor
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, Validation
 
 from .domes import sphere
@@ -33,7 +35,8 @@ def ball():
     found = identified(sphere(0, NOISE, frames=20, scale=0.35))
     gas = np.full(20, 1e5 + found.gauge.value)
     samples = replace(found.samples, gas_pressure_pa=gas)
-    found = replace(found, samples=samples, reference_force=None)
+    force = Quantity.normal(2.0, 0.04, "a press of 4 mm")
+    found = replace(found, samples=samples, reference_force=force)
     return gauged(with_seen_share(found, 1.0), 1.0)
 
 
@@ -117,11 +120,26 @@ def test_warning_appears_beyond_its_limit(ball, change, said):
     [(0.055, "good"), (0.06, "usable"), (0.29, "usable"), (0.31, "doubtful")],
 )
 def test_grade_follows_the_interval_of_a_force_too(ball, relative, expected):
-    force = Quantity(2.0, 2.0 - 2.0 * relative, 2.0 + 2.0 * relative, "4 mm")
+    force = Quantity(2.0, 2.0 - 2.0 * relative, 2.0 + 2.0 * relative, "a press of 4 mm")
     found = replace(in_frames(ball, 30), reference_force=force)
     assert grade(found) == expected
-    assert headline(found).endswith(f"; forces ±{100 * relative:.2g} %")
+    assert headline(found).endswith(f"; force of a press ±{100 * relative:.2g} %")
     assert any("press of 4 mm" in line for line in advice(found)) is (expected != "good")
+
+
+def test_a_sensor_whose_simulated_press_shows_no_force_is_not_good(ball):
+    found = replace(in_frames(ball, 30), reference_force=None)
+    assert grade(found) == "usable"
+    assert "A simulated press shows no force" in advice(found)[1]
+
+
+@pytest.mark.parametrize(("noise", "low", "high"), [(0.003, 0.04, 0.05), (0.2, 0.15, 0.35)])
+def test_force_of_a_simulated_press_includes_the_noise_of_depth(noise, low, high):
+    preset = load_sensor("pico_flexx_75mm")
+    rubber = {"nodes": 400, "prestretch": 1.2}
+    model = SensorModel.of(changed(preset, camera={"noise_relative": noise}, membrane=rubber))
+    force = reference_force(model)
+    assert low < force.half_width / force.value < high
 
 
 def test_parameters_list_their_origin_and_how_to_improve_them(ball):

@@ -29,7 +29,7 @@ SIMULATED = {
 def made_with():
     """Processor and libraries, on which the last digits depend."""
     kernels = sorted({str(pool.get("architecture")) for pool in threadpool_info()})
-    vectors = np.show_config(mode="dicts")["SIMD Extensions"]["found"]
+    vectors = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
     parts = [platform.machine(), *kernels, *vectors, np.__version__, scipy.__version__]
     return " ".join(parts)
 
