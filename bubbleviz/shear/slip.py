@@ -167,20 +167,17 @@ def _share(
 ) -> tuple[float, float]:
     """Share of the patch's area that slips, and its σ, by motions of known points in σ.
 
-    The edge slips where the next tracked point does. Elsewhere the parts of it that move may slip,
-    as slip begins there, or not touch. Once some points slip, others that move significantly may
-    slip by less than the limit; once most of the patch slips, the rest, which is the reference,
-    may.
+    The edge slips where the next tracked point does. Other points that move significantly may slip
+    by less than the limit, or lie on an edge that does not touch. Once most of the patch slips, the
+    rest, which is the reference, may slip, too.
     """
     beyond = sigmas - limit
     tree = cKDTree(pinned.position[known[tracked]])
     nearest = np.asarray(tree.query(pinned.position)[1])
     area = np.bincount(nearest, pinned.area, np.count_nonzero(tracked))
     slips, likely = beyond[tracked] > 0.0, ndtr(beyond[tracked])
-    unsure = known[~tracked & (beyond > 0.0)]
+    unsure = known[sigmas > HALF_95]
     rest = pinned.area[unsure] @ ~slips[nearest[unsure]]
-    if slips.any():
-        rest += area @ (~slips & (sigmas[tracked] > HALF_95))
     if area @ slips > 0.5 * area.sum():
         rest = area @ ~slips
     # that all of the rest slips is as unlikely as 2 σ
