@@ -51,20 +51,19 @@ def press_force(pipeline: Pipeline, press: Frame) -> tuple[np.ndarray, float] | 
 
 
 def reference_force(model: SensorModel) -> Quantity | None:
-    """Force of the press as one image shows it, N; None: it shows none.
+    """True force of the press with the interval of its estimate, N; None: no estimate.
 
-    The value is the true one. Half of the interval is that of the estimate, or its error where that
-    is larger. λ and gauge pressure of the sensor file may be as wrong as their intervals say; a λ
-    without interval counts as exact.
+    The estimate is of one image with the noise of the sensor file. Where its error is larger than
+    half of its interval, the interval is as wide as the error. The intervals of λ and gauge
+    pressure are included; a λ without interval counts as exact.
     """
-    pipeline, camera = Pipeline(model), model.sensor.camera
-    noise = DepthNoise(relative=camera.noise_relative)
-    press = reference_press(pipeline, noise)
-    found = None if press is None else press_force(pipeline, press.frame)
-    if press is None or found is None:
+    pipeline = Pipeline(model)
+    press = reference_press(pipeline, DepthNoise(relative=model.sensor.camera.noise_relative))
+    if press is None or (found := press_force(pipeline, press.frame)) is None:
         return None
-    force, error = float(np.linalg.norm(press.force_n)), np.linalg.norm(found[0] - press.force_n)
-    half_width = max(found[1], float(error))
+    estimated_n, half_width = found
+    force = float(np.linalg.norm(press.force_n))
+    half_width = max(half_width, float(np.linalg.norm(estimated_n - press.force_n)))
     depth = 1e3 * _DEPTH * float(np.max(model.mesh.nodes[:, 2]))
     source = f"a simulated press of {depth:.2g} mm"
     return Quantity(force, force - half_width, force + half_width, source)

@@ -54,7 +54,7 @@ class SlipStart:
     stuck: np.ndarray  # (k,) bool, points inside that have not slipped since
     compared: bool  # whether enough points stuck in an earlier frame of the contact
     inside: np.ndarray  # (k,) bool, points surely inside the patch
-    friction: float  # see `_friction`
+    friction: float  # of the whole contact over its normal force
     frame: int  # index and time of the frame it was found in
     time_s: float
 
@@ -180,7 +180,7 @@ def _share(
     rest = pinned.area[unsure] @ ~slips[nearest[unsure]]
     if area @ slips > 0.5 * area.sum():
         rest = area @ ~slips
-    # that all of the rest slips is as unlikely as 2 σ
+    # all of the rest counts as 2 σ
     variance = area**2 @ (likely * (1.0 - likely)) + (0.5 * rest) ** 2
     return float(area @ slips / area.sum()), float(np.sqrt(variance) / area.sum())
 

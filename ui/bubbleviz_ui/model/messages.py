@@ -68,7 +68,7 @@ class Messages(QObject):
         self.added.emit(message)
 
     def report(self, topic: str, path: Path, write: Callable[[], str | None]) -> bool:
-        """Write a file with a message about it, or why it could not be written; whether it was.
+        """Write a file and report that, or why it failed. Returns whether the file was written.
 
         `write` may return a sentence in place of "Saved …".
         """

@@ -67,7 +67,7 @@ class Colours:
         self.cloud = of_theme("#cfd6de", "#38424d")
         self.rim = of_theme("#c3ccd6", "#4a5561")
         self.frustum = of_theme("#7f8b99", "#7f8b99")
-        # Surfaces, of input widgets, text
+        # Windows, input widgets, and text on them
         self.window = of_theme("#23282e", "#eceff3")
         self.field = of_theme("#171a1e", "#ffffff")
         self.text = of_theme("#e6ebf0", "#161b21")
