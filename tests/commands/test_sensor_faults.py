@@ -4,6 +4,7 @@ A frame must be refused, warned of, or have the force of the undisturbed recordi
 """
 
 import os
+import re
 import shutil
 import struct
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bubbleviz.sensor import load_sensor
 from tests.program import rows_of, run
 from tests.recordings.mcap_copy import copied
 
@@ -117,9 +119,9 @@ def test_no_wrong_force_is_ok(punyo_press, undisturbed, tmp_path, change):
 def test_a_tension_outside_its_interval_is_refused_or_warned_of(punyo_press, tmp_path):
     shutil.copytree(PRESETS, tmp_path / "sensors")
     sensor = tmp_path / "sensors" / "punyo_oval_d405.toml"
-    text = sensor.read_text(encoding="utf-8")
-    assert "tension_n_per_m = 219.285" in text
-    sensor.write_text(text.replace("= 219.285", "= 21.9285"), encoding="utf-8")
+    tenth = f"{0.1 * load_sensor(sensor).pneumatics.tension_n_per_m:g}"
+    text = re.sub(r"(tension_n_per_m) = .*", rf"\1 = {tenth}", sensor.read_text(encoding="utf-8"))
+    sensor.write_text(text, encoding="utf-8")
     recording = rewritten(punyo_press, tmp_path / "copy.mcap", lambda *_: None)
     *_, warnings = estimated(recording, tmp_path, sensor, "--frames", "0:3")
-    assert "tension_n_per_m = 21.9285 in the sensor file is outside the interval" in warnings
+    assert f"tension_n_per_m = {tenth} in the sensor file is outside the interval" in warnings
