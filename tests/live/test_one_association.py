@@ -1,5 +1,7 @@
 """Recordings and streams associate the same wrench and colour with each frame."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from streams import frames_of, recorded
@@ -76,18 +78,18 @@ def beside(frame):
 
 
 @pytest.mark.parametrize(
-    ("messages", "has"),
+    ("sent", "has"),
     [
-        (of_another_clock(), [100_000.0, 100_000.0 + PERIOD / 2 / MS]),
-        (with_jitter(), None),
-        (beyond_the_last(90), [1.06e5]),
-        (beyond_the_last(110), [None]),
-        (with_colour(), [None, None]),
+        (of_another_clock, [100_000.0, 100_000.0 + PERIOD / 2 / MS]),
+        (with_jitter, None),
+        (partial(beyond_the_last, 90), [1.06e5]),
+        (partial(beyond_the_last, 110), [None]),
+        (with_colour, [None, None]),
     ],
     ids=["another clock", "jitter", "near the last", "far from it", "colour"],
 )
-def test_recording_and_stream_have_the_same_values_for_each_frame(tmp_path, messages, has):
-    messages = sorted(messages, key=lambda message: message.arrival_ns)
+def test_recording_and_stream_have_the_same_values_for_each_frame(tmp_path, sent, has):
+    messages = sorted(sent(), key=lambda message: message.arrival_ns)
     assembler = FrameAssembler()
     assembler.follow_colour()
     live = [beside(frame) for frame in frames_of(assembler, *messages)]

@@ -1,5 +1,6 @@
 """Bags made with rosbags alone, independent of our writer."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -36,13 +37,17 @@ def pressure_at(stamp_ns):
     return 106_000.0 + 100.0 * (stamp_ns - START) / SECOND
 
 
+typestore = cache(get_typestore)
+"""It compiles each type it serialises, which takes longer than to write a whole recording."""
+
+
 class BagMaker:
     """Messages by (topic, kind, stamp, log, object) written with rosbags in a chosen format."""
 
     def __init__(self, kind):
         self.kind = kind
         self.ros1 = kind.startswith("bag")
-        self.store = get_typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
+        self.store = typestore(Stores.ROS1_NOETIC if self.ros1 else Stores.ROS2_HUMBLE)
         self.rows: list[tuple[str, str, int, Any]] = []
 
     def header(self, stamp):

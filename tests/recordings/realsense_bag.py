@@ -1,5 +1,6 @@
 """ROS 1 bags as the recorder of the RealSense library (2.x) lays them out, written with rosbags."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,14 @@ def depth_units(k):
     return units
 
 
+@cache
+def _typestore():
+    store = get_typestore(Stores.ROS1_NOETIC)
+    for name, text in OWN_TYPES.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
 def write_realsense_bag(path, unit_m, option="Depth_Units", extrinsics=None):
     """Four frames of depth and infrared, and of colour with `extrinsics`, then uncompressed.
 
@@ -37,9 +46,7 @@ def write_realsense_bag(path, unit_m, option="Depth_Units", extrinsics=None):
     extrinsics : dict, optional
         Of `Depth_0` and `Color_0`: the pose of a common reference in their cameras.
     """
-    store = get_typestore(Stores.ROS1_NOETIC)
-    for name, text in OWN_TYPES.items():
-        store.register(get_types_from_msg(text, name))
+    store = _typestore()
     types, connections = store.types, dict[str, Any]()
     writer = Writer(path)
     if not extrinsics:
