@@ -81,7 +81,7 @@ def test_weather_is_not_drift(sensor, rest):
     assert "more than weather" in bv.check(frames, sensor).to_text()
 
 
-@pytest.mark.parametrize("offset_m", [1.8e-4, -1.8e-4])
+@pytest.mark.parametrize("offset_m", [1.8e-4, pytest.param(-1.8e-4, marks=pytest.mark.long)])
 def test_an_offset_of_depth(sensor, rest, offset_m):
     found = bv.check(with_depth(rest, lambda depth: depth + offset_m), sensor)
     assert found.verdict == "drifted"

@@ -101,7 +101,11 @@ def undisturbed(punyo_press, tmp_path_factory):
     [
         # shifts of the gas pressure of the same press: calibration/test_weather.py
         pytest.param(depth(drift), id="depth drifts by 0.5 mm"),
-        pytest.param(depth(lambda image, _: image * np.float32(0.995)), id="depth × 0.995"),
+        pytest.param(
+            depth(lambda image, _: image * np.float32(0.995)),
+            id="depth × 0.995",
+            marks=pytest.mark.long,
+        ),
         pytest.param(focal_length(1.02), id="focal lengths × 1.02"),
         pytest.param(depth(lambda image, _: image[::-1, ::-1]), id="turned by 180°"),
         pytest.param(with_hole(16), id="hole of 16 pixels at the press"),
