@@ -41,7 +41,7 @@ def test_quick_cases_all_pass_or_are_refused():
     assert found["cases"] == found["passed"] + found["refused"] == len(study.cases[::every])
 
 
-SMALL = Trial({"membrane.nodes": 300}, truth_nodes=1_500, repeats=1)
+SMALL = Trial({"membrane.nodes": 300}, truth_nodes=800, repeats=1)
 
 
 class Broken(Pipeline):
