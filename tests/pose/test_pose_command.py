@@ -45,12 +45,17 @@ def command(folder, out, *more, obj="frustum"):
     return "pose", folder / "rec.mcap", *words
 
 
-def test_poses_equal_those_of_the_simulation(folder):
-    init = ("--init", "0.006 0.001 0.037 0 0 0.05 0.99875")
-    told = output_of(*command(folder, "poses.csv", *init, "--json"))
-    text = (folder / "poses.csv").read_text()
-    assert text.splitlines()[0] == HEADER
-    rows = list(csv.DictReader(text.splitlines()))
+@pytest.fixture(scope="module")
+def tracked(folder):
+    """Header and rows of the poses with areas by the object, and the summary."""
+    more = ("--init", "0.006 0.001 0.037 0 0 0.05 0.99875", "--object-patch", "--json")
+    told = output_of(*command(folder, "poses.csv", *more))
+    header, *lines = (folder / "poses.csv").read_text().splitlines()
+    return header, list(csv.DictReader([header, *lines])), json.loads(told)
+
+
+def test_poses_equal_those_of_the_simulation(folder, tracked):
+    _, rows, summary = tracked
     assert [row["status"] for row in rows] == ["no_contact", "ok", "ok", "ok"]
     with np.load(folder / "truth.npz") as truth:
         for row, T in list(zip(rows, truth["T_B_O"], strict=True))[1:]:
@@ -60,7 +65,6 @@ def test_poses_equal_those_of_the_simulation(folder):
             assert abs(float(row["x_m"]) - T[0, 3]) < 3e-3
             assert float(row["fitness"]) > 0.8
             assert float(row["total_ms"]) > 0.0
-    summary = json.loads(told)
     assert summary["status"] == {"no_contact": 1, "ok": 3}
     assert summary["median_fitness"] > 0.8
 
@@ -82,22 +86,19 @@ def test_a_search_lists_the_other_poses_that_fit_as_well(tmp_path):
         assert (done.exit_code, done.stderr) == (0, "")
 
 
-def test_area_of_the_object_patch_is_an_optional_column(folder):
-    more = ("--init", "0.004 0.002 0.038 0 0 0 1", "--object-patch", "--json")
-    told = output_of(*command(folder, "areas.csv", *more))
-    text = (folder / "areas.csv").read_text()
-    assert text.splitlines()[0] == HEADER + ",patch_area_m2,object_patch_area_m2"
-    free, *pressed = csv.DictReader(text.splitlines())
+def test_area_of_the_object_patch_is_an_optional_column(folder, tracked):
+    header, (free, *pressed), summary = tracked
+    assert header == HEADER + ",patch_area_m2,object_patch_area_m2"
     assert free["status"] == "no_contact" and np.isnan(float(free["object_patch_area_m2"]))
     for row in pressed:
         assert float(row["object_patch_area_m2"]) == pytest.approx(0.025**2, rel=0.35)
         assert float(row["patch_area_m2"]) > 0.0
-    summary = json.loads(told)
     median = np.median([float(row["object_patch_area_m2"]) for row in pressed])
     assert summary["median_object_patch_area_m2"] == pytest.approx(median)
-    columns = read_poses(folder / "areas.csv")
+    columns = read_poses(folder / "poses.csv")
     assert columns[3]["pose_object_patch_area_m2"] == float(pressed[-1]["object_patch_area_m2"])
-    told = output_of(*command(folder, "areas.csv", *more[:-1], "--frames", "2:3", "--overwrite"))
+    more = ("--init", "0.004 0.002 0.038 0 0 0 1", "--object-patch", "--frames", "2:3")
+    told = output_of(*command(folder, "areas.csv", *more))
     (row,) = read_poses(folder / "areas.csv").values()
     assert f"{1e6 * row['pose_object_patch_area_m2']:.0f} mm² by the object" in told
     assert "mm (medians of 1 ok frame)\n" in told
@@ -134,6 +135,7 @@ def test_unit_of_the_mesh_file_option(folder, tmp_path):
     more = ("--init", "0.004 0.002 0.038 0 0 0 1", "--frames", "1:3")
     refusal(*command(folder, "m.csv", *more, obj=block))
     output_of(*command(folder, "mm.csv", "--unit", "mm", *more, obj=block))
+    assert (folder / "mm.csv").read_text().splitlines()[0] == HEADER  # without areas
 
 
 def test_covariance_of_a_line_is_that_of_poses_scattered_about_the_patch():
