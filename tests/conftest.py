@@ -37,8 +37,9 @@ LONG = (
     "ui/live",
     "batch",
     "live",
+    ".",
 )
-"""Rooms whose files take longest: they begin first, so that no process ends on one of them.
+"""Rooms whose files take longest, and files of no room: first, so that no process ends on one.
 
 After them come the other windows, and last the rooms without.
 """
