@@ -23,7 +23,7 @@ MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 p
 def as_input_error(
     path: str | Path,
     what: str,
-    remedy: str = "copy the recording again, or record again without that problem",
+    remedy: str = "",  # empty for a recording
 ) -> Iterator[None]:
     """Convert any exception that a damaged file causes in a reader to InputError."""
     try:
@@ -33,7 +33,9 @@ def as_input_error(
     except ModuleNotFoundError:
         raise  # the command line says how to install it
     except Exception as error:
-        reason = reason_of(error, 200).rstrip(".")
+        reason = reason_of(error, 200).partition(": (")[0].rstrip(".")  # rosbags adds a tuple
+        if isinstance(error, AssertionError | UnicodeError):
+            reason = "it is not UTF-8 text" if remedy else "some of its bytes are damaged"
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read
             reason = "a size in it is damaged, or too little memory is free"
         if isinstance(error, KeyError):
@@ -42,6 +44,7 @@ def as_input_error(
             reason = "it is nested too deeply"
         if isinstance(error, PermissionError):
             remedy = "allow reading it"
+        remedy = remedy or "copy the recording again, or record again without that problem"
         raise InputError(f"{path}: {what} cannot be read ({reason}); {remedy}") from error
 
 

@@ -7,6 +7,7 @@ import shutil
 import numpy as np
 import pytest
 from bagmaker import KINDS, PERIOD, START, BagMaker, depth_image, fill
+from mcap.reader import make_reader
 from mcap.records import Chunk, Message, MessageIndex
 from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType
@@ -240,6 +241,24 @@ def test_chunk_with_a_wrong_checksum_is_refused(tmp_path):
     path.write_bytes(path.read_bytes().replace(checksum, bytes([checksum[0] ^ 1]) + checksum[1:]))
     with pytest.raises(InputError, match="checksum does not match"):
         read_all(path)
+
+
+@pytest.mark.parametrize(("kind", "text"), [("bag lz4", b"topic="), ("db3 file", b"/cam/depth")])
+def test_damaged_text_is_called_damage(tmp_path, kind, text):
+    path = fill(BagMaker(kind)).write(tmp_path)
+    path.write_bytes(path.read_bytes().replace(text, b"\xff" + text[1:]))
+    assert "(some of its bytes are damaged); copy the recording again" in refusal(path)
+
+
+def test_an_mcap_with_a_damaged_summary_is_scanned(tmp_path):
+    path = fill(BagMaker("mcap file")).write(tmp_path)
+    rewrite(path)
+    before, name, after = path.read_bytes().rpartition(b"/cam/depth/image")  # in the summary
+    path.write_bytes(before + b"\xff" + name[1:] + after)
+    with pytest.raises(UnicodeDecodeError), path.open("rb") as file:
+        make_reader(file).get_summary()
+    assert info(path).frames == 6
+    read_all(path)
 
 
 def rewrite(path, **options):
