@@ -19,20 +19,22 @@ from benchmarks.edge import (
 )
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
+from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, iou, with_nodes
 
+SENSOR = load_sensor("pico_flexx_75mm")  # of constant tension
 ONE = DepthNoise(relative=0.01)
 
 
 @pytest.fixture(scope="module")
-def bank(sensor):
-    return TruthBank(LinearPresses.of(SensorModel.of(sensor), 1_500), 7)
+def bank():
+    return TruthBank(LinearPresses.of(SensorModel.of(SENSOR), 1_500), 7)
 
 
-def test_ground_truth_lies_within_its_band(sensor, bank):
+def test_ground_truth_lies_within_its_band(bank):
     truth = bank.simulate(Press("sphere", 0.012, False)).truth
-    pipeline = Pipeline.of(with_nodes(sensor, 1_500))
+    pipeline = Pipeline.of(with_nodes(SENSOR, 1_500))
     estimate = Estimate(
         "ok", truth.displacement_m, truth.contact_pressure_pa, truth.gas_pressure_change_pa, 0, 0
     )
@@ -53,9 +55,9 @@ def test_oracle_is_the_best_threshold_with_iou_at_most_1(bank):
 
 
 @pytest.mark.long
-def test_unknown_parameters_widen_the_edge_band(sensor):
+def test_unknown_parameters_widen_the_edge_band():
     grid = replace(quick_grid(), objects=("sphere",), truth_nodes=700, limit_s=None)
-    found = edge_study(with_nodes(sensor, 700), grid).run()
+    found = edge_study(with_nodes(SENSOR, 700), grid).run()
     assert found.omitted == [] and len(found.rows) == 2
     for row in found.rows:
         assert 0.5 < row.iou_bound_shape < row.iou_bound_place < 1.0

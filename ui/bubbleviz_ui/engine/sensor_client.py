@@ -19,9 +19,9 @@ from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
 from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import FrameHistory, grown
-from bubbleviz_ui.model.messages import RateMeter
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.throttle import RateMeter
 
 IMAGES_EVERY_S = 0.15
 """Period at which images are updated during playback."""

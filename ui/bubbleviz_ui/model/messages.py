@@ -79,20 +79,3 @@ class Messages(QObject):
             return False
         self.add("notice", said or f"Saved {path}", file=path, topic=topic)
         return True
-
-
-class RateMeter:
-    """Events of the last second."""
-
-    def __init__(self) -> None:
-        self._times: deque[float] = deque()
-
-    def tick(self, now_s: float) -> None:
-        """Count one event."""
-        self._times.append(now_s)
-
-    def rate_hz(self, now_s: float) -> float:
-        """Number of events in the second that ends now."""
-        while self._times and self._times[0] < now_s - 1.0:
-            self._times.popleft()
-        return float(len(self._times))

@@ -30,8 +30,7 @@ from PySide6.QtWidgets import QWidget
 from pyvistaqt import QtInteractor
 
 from bubbleviz.errors import InputError
-from bubbleviz_ui.model.messages import RateMeter
-from bubbleviz_ui.model.throttle import Throttle
+from bubbleviz_ui.model.throttle import RateMeter, Throttle
 from bubbleviz_ui.shell import theme
 
 # Render quality, depending on the renderer: a GPU, or the CPU that also solves.
