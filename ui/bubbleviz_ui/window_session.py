@@ -281,10 +281,11 @@ def application() -> QApplication:
     """The Qt application with the window's style; created once."""
     from PySide6.QtWidgets import QApplication
 
-    from bubbleviz_ui.engine.upkeep import GarbageCollector
+    from bubbleviz_ui.engine.upkeep import GarbageCollector, limit_heaps
     from bubbleviz_ui.shell import theme
 
     sys.setswitchinterval(SWITCH_S)
+    limit_heaps()
     existing = QApplication.instance()
     if isinstance(existing, QApplication):
         made = existing

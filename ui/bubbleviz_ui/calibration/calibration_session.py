@@ -19,7 +19,6 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
-from bubbleviz_ui.engine.upkeep import release_memory
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.messages import CALIBRATION
 from bubbleviz_ui.model.undo import UndoRecorder, UndoStep
@@ -224,9 +223,7 @@ class Calibration(QObject):
             return
 
         def compute(progress: Progress) -> Answer:
-            found = answer(self._bench.of(work, source, initial), work, in_use, progress)
-            release_memory()  # hundreds of MB
-            return found
+            return answer(self._bench.of(work, source, initial), work, in_use, progress)
 
         self._run(compute, self._on_computed)
 

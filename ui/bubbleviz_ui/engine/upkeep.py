@@ -52,16 +52,32 @@ def _collect() -> None:
 TICK_MS = 1000
 IDLE_TICKS = 3
 """Ticks without a change after which the window is idle."""
-GROWTH_MIB = 64.0
-"""Growth after which memory is released in use: at most as much is unused, a tenth of all."""
+
+
+LARGE_BYTES = 4 << 20
+"""Larger blocks are returned when freed; images (≤ 2.5 MB) are not, each frame needs new ones."""
+_MALLOPT = {-8: 2, -3: LARGE_BYTES, -1: LARGE_BYTES}  # M_ARENA_MAX, M_MMAP_ and M_TRIM_THRESHOLD
+
+
+def limit_heaps() -> None:
+    """Let all threads but the first share a heap, and return large blocks when freed (glibc only).
+
+    By default each thread's heap keeps unused memory, up to 64 MiB at its end. Python's threads
+    take turns anyway.
+    """
+    for option, value in _MALLOPT.items():
+        _call_glibc("mallopt", option, value)
 
 
 def release_memory() -> None:
     """Return unused memory of the C library to the system (glibc only)."""
-    if sys.platform.startswith("linux"):
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-        if trim is not None:
-            trim(0)
+    _call_glibc("malloc_trim", 0)
+
+
+def _call_glibc(name: str, *arguments: int) -> None:
+    function = getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
+    if function is not None:
+        function(*arguments)
 
 
 def resident_mib() -> float:
@@ -74,7 +90,7 @@ def resident_mib() -> float:
 
 
 class MemoryRelease(QObject):
-    """Releases unused memory when the window is idle or memory has grown, in a thread.
+    """Releases unused memory when the window is idle or a source was closed, in a thread.
 
     Not more often: allocations block meanwhile, for longer than one picture.
 
@@ -87,11 +103,9 @@ class MemoryRelease(QObject):
         state: SessionState,
         release: Callable[[], None] = release_memory,  # Called in a thread
         tick_ms: int = TICK_MS,
-        resident_mib: Callable[[], float] = resident_mib,
     ) -> None:
         super().__init__()
-        self._release, self._resident_mib = release, resident_mib
-        self._unchanged, self._kept_mib = 0, resident_mib()
+        self._release, self._unchanged, self._source_closed = release, 0, False
         self._worker = Worker("memory")
         self._timer = QTimer(self)
         self._timer.timeout.connect(self._on_tick)
@@ -110,19 +124,14 @@ class MemoryRelease(QObject):
         self._unchanged = 0
 
     def _on_source(self) -> None:
-        self._kept_mib = 0.0  # what the closed source held is released at the next tick
+        self._source_closed = True
 
     def _on_tick(self) -> None:
         self._unchanged += 1
-        resident_mib = self._resident_mib()
-        self._kept_mib = min(self._kept_mib, resident_mib)
-        if self._unchanged == IDLE_TICKS or resident_mib - self._kept_mib > GROWTH_MIB:
+        if self._unchanged == IDLE_TICKS or self._source_closed:
+            self._source_closed = False
             gc.collect()  # here, see above; milliseconds, as imported modules are frozen
-            self._kept_mib = resident_mib
-            self._worker.submit(self._release, lambda _: self._measure())
-
-    def _measure(self) -> None:
-        self._kept_mib = self._resident_mib()
+            self._worker.submit(self._release)
 
 
 # ^C and SIGTERM as events of the Qt event loop.
