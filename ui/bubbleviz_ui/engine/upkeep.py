@@ -48,25 +48,22 @@ def _collect() -> None:
 
 # Release of unused memory to the system.
 
-
 TICK_MS = 1000
 IDLE_TICKS = 3
 """Ticks without a change after which the window is idle."""
-
-
 LARGE_BYTES = 4 << 20
 """Larger blocks are returned when freed; images (≤ 2.5 MB) are not, each frame needs new ones."""
-_MALLOPT = {-8: 2, -3: LARGE_BYTES, -1: LARGE_BYTES}  # M_ARENA_MAX, M_MMAP_ and M_TRIM_THRESHOLD
+M_ARENA_MAX, M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -8, -3, -1
 
 
 def limit_heaps() -> None:
-    """Let all threads but the first share a heap, and return large blocks when freed (glibc only).
+    """Let all threads share two heaps, and return large blocks when freed (glibc only).
 
-    By default each thread's heap keeps unused memory, up to 64 MiB at its end. Python's threads
-    take turns anyway.
+    Else the heap of each thread keeps unused memory; Python's threads take turns anyway.
     """
-    for option, value in _MALLOPT.items():
-        _call_glibc("mallopt", option, value)
+    _call_glibc("mallopt", M_ARENA_MAX, 2)
+    for threshold in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD):
+        _call_glibc("mallopt", threshold, LARGE_BYTES)
 
 
 def release_memory() -> None:
@@ -92,10 +89,8 @@ def resident_mib() -> float:
 class MemoryRelease(QObject):
     """Releases unused memory when the window is idle or a source was closed, in a thread.
 
-    Not more often: allocations block meanwhile, for longer than one picture.
-
-    A closed source is a cycle of few objects and a hundred MB, which no threshold of Python's
-    garbage collection counts.
+    Not more often: allocations block meanwhile, for longer than one picture. A closed source is a
+    cycle of few objects and a hundred MB, which no threshold of garbage collection counts.
     """
 
     def __init__(
@@ -135,7 +130,6 @@ class MemoryRelease(QObject):
 
 
 # ^C and SIGTERM as events of the Qt event loop.
-
 
 EXIT_CODE = 130
 """Exit code after ^C, as shells report it."""

@@ -28,7 +28,6 @@ class RateMeter:
         self._times: deque[float] = deque()
 
     def tick(self, now_s: float) -> None:
-        """Count one event."""
         self._times.append(now_s)
 
     def rate_hz(self, now_s: float) -> float:
