@@ -29,6 +29,9 @@ UPPER_95 = 1.6
 """Upper 95 % limit of a median over `SQUARES` squares, relative to that median: its standard
 deviation is a fifth."""
 
+_MODEL_ERROR_M = 6e-5
+"""Errors of a correct model, averaged over squares: rms on the real press while it is held."""
+
 MAD = 0.6745  # median of |z| of a standard normal z
 _MIDDLE_MEAN = 0.6934  # mean of the middle half of its |z|
 
@@ -75,6 +78,21 @@ class BlockSquares:
         bent = np.concatenate([np.diff(each, 2, axis=0).ravel() for each in (grid, grid.T)])
         bent = bent[np.isfinite(bent)]
         return float(median(np.abs(bent)) / (MAD * np.sqrt(6.0))) if bent.size else 1.0
+
+    def largest_median(self, block: np.ndarray, error: np.ndarray, weight: np.ndarray) -> float:
+        """Largest size of a median error (k,) of a square, over its σ, with weights 1/σ² (k,).
+
+        Of squares that are half measured. An error of a smaller part, as of a cable, hardly changes
+        the median, nor, by the robust weights, the estimate.
+        """
+        seen = np.flatnonzero(weight > 0.0)
+        square, error = self.of_block[block[seen]], error[seen]
+        error = error[np.lexsort((error, square))]
+        count, precision = np.bincount(square), np.bincount(square, weight[seen])
+        full = np.flatnonzero(count >= 0.5 * self.side**2)
+        middle = error[(np.cumsum(count) - count + count // 2)[full]]
+        sigma = np.sqrt(0.5 * np.pi / precision[full] + _MODEL_ERROR_M**2)
+        return float(np.max(np.abs(middle) / sigma, initial=0.0))
 
     def _means(self, block: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Mean errors by number of the square, in standard deviations; NaN where few have any."""
@@ -185,6 +203,8 @@ class Misfit:
     # variance of sums over squares of blocks, relative to white residuals: 1 for white noise,
     # the number of blocks worth one sample where noise is correlated
     clumping: float
+    # largest median of a square, in standard deviations of noise and of a correct model
+    regional: float
 
 
 class RangeObserver:
@@ -534,12 +554,14 @@ class RangeObserver:
     def _visible_at_rest(self, hits: Hits) -> Hits:
         return hits.of(np.isfinite(self._rest_range[hits.ray]))
 
-    def misfit(self, observation: Observation, block: np.ndarray, error_m: np.ndarray) -> Misfit:
-        """Statistics of the residuals (k,) of some blocks."""
+    def misfit(
+        self, observation: Observation, block: np.ndarray, error_m: np.ndarray, noise: float
+    ) -> Misfit:
+        """Statistics of the residuals (k,) of some blocks, with a noise factor."""
         weight = observation.weight[block] / observation.trusted
         total = float(weight.sum())
         if total == 0.0:
-            return Misfit(np.nan, np.inf, 1.0)
+            return Misfit(np.nan, np.inf, 1.0, 0.0)
         z = error_m * np.sqrt(weight)
         square = float(z @ z)
         sums = np.bincount(self._squares.of_block[block], z)
@@ -547,6 +569,7 @@ class RangeObserver:
             rms_m=float(np.sqrt(square / total)),
             deviations=float(median(np.abs(z[weight > 0.0])) / MAD),
             clumping=float(sums @ sums) / max(square, 1e-300),
+            regional=self._squares.largest_median(block, error_m, weight / noise**2),
         )
 
     def noise_factor(

@@ -394,7 +394,7 @@ class Iteration:
             step,
             (self._following or observed).view,
             noise,
-            observer.misfit(observed.observation, view.block, step.residual_m),
+            observer.misfit(observed.observation, view.block, step.residual_m, noise.ranges),
             newton.contradicts(step.state.gas, self._data.gas_pa),
             wrench_covariance(step, newton.friction, by_flow),
             _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),

@@ -30,6 +30,10 @@ IMPLAUSIBLE_CLUMPING = 6.0
 """Clumping (see `Misfit`) beyond which residuals are not the white noise of the sensor file, as
 averaging over blocks does not reduce them; up to it the force is off by less than a tenth."""
 
+IMPLAUSIBLE_REGION = 10.0
+"""The same for the median of a square of the image. Chosen: correct presses, at most 4; a plane
+across a whole dome, which a plate resembles, 7; a hand in front of the membrane, 190."""
+
 IMPLAUSIBLE_SHARE = 0.2
 """Misfit relative to the membrane's size beyond which an image shows no membrane, however noisy it
 is. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
@@ -86,6 +90,11 @@ def reason_against_fit(misfit: Misfit, white: bool, size_m: float) -> str:
         return (
             f"depths are {misfit.deviations:.0f} standard deviations from any shape that this "
             "membrane can take; check sensor file and unit of depth"
+        )
+    if misfit.regional > IMPLAUSIBLE_REGION:
+        return (
+            "depths of a region are not of this membrane; look at the residual in the window for a "
+            "foreign object or a fold, or check the sensor file"
         )
     clumped = misfit.deviations > 1.5 and misfit.clumping > IMPLAUSIBLE_CLUMPING
     return (

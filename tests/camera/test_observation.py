@@ -238,7 +238,7 @@ def looked_at(noise: np.ndarray, sigma: float):
     view = observer.around(MESH.deformed(displacement))
     observation = observer.observe(depth, view.model_m)
     error = (observation.residual_m - view.model_m)[view.block]
-    return observer.misfit(observation, view.block, error)
+    return observer.misfit(observation, view.block, error, 1.0)
 
 
 def test_expected_noise_is_one_deviation_and_white():

@@ -92,6 +92,25 @@ def test_a_hole_in_a_contact_lowers_the_seen_share(solver):
     assert np.isnan(solver.estimate(rest)[0].seen_share)
 
 
+@pytest.mark.parametrize("object_seen", ["hand", "cable"])
+def test_an_image_with_a_region_that_is_not_membrane_is_refused(solver, object_seen):
+    """A hand 30 mm from the camera, beside the press; a cable there has little weight."""
+    mesh, contact = pressed("sphere", 0.007, 0.008)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    rest = depth_image_of(mesh, np.zeros_like(mesh.nodes), NOISE_M)
+    row, column = np.unravel_index(np.nanargmax(rest - image), image.shape)
+    down, right = ROWS - row, COLUMNS - column + 25
+    hidden = np.hypot(down, right) < 14 if object_seen == "hand" else np.abs(right) < 2
+    estimate, _ = solver.estimate(np.where(hidden, 0.03, image))
+    if object_seen == "hand":
+        assert estimate.status == "implausible"
+        assert "foreign object" in estimate.reason
+    else:
+        error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
+        assert estimate.status == "ok"
+        assert error < estimate.force_half_width_n
+
+
 @pytest.mark.parametrize(("radius", "bias_m"), [(0.05, 0.0), (0.05, -5e-4), (0.08, 1e-3)])
 def test_returns_biased_beside_a_specular_spot_leave_the_force_in_its_interval(
     solver, radius, bias_m

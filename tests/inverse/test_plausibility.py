@@ -17,21 +17,25 @@ from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first
 
 
 @pytest.mark.parametrize(
-    ("deviations", "clumping", "white", "explained"),
+    ("deviations", "clumping", "regional", "white", "explained"),
     [
-        (1.0, 1.0, True, True),
-        (4.5, 1.0, True, True),
-        (5.5, 1.0, True, False),  # more than five deviations are not noise
-        (5.5, 1.0, False, False),
-        (2.0, 5.0, True, True),
-        (2.0, 7.0, True, False),  # six times as much as white noise leaves in squares of blocks
-        (2.0, 7.0, False, True),
-        (1.2, 50.0, True, True),  # smaller than the noise, whatever its shape
+        (1.0, 1.0, 1.0, True, True),
+        (4.5, 1.0, 1.0, True, True),
+        (5.5, 1.0, 1.0, True, False),  # more than five deviations are not noise
+        (5.5, 1.0, 1.0, False, False),
+        (2.0, 5.0, 1.0, True, True),
+        (2.0, 7.0, 1.0, True, False),  # six times what white noise leaves in squares of blocks
+        (2.0, 7.0, 1.0, False, True),
+        (1.2, 50.0, 9.5, True, True),  # smaller than the noise, whatever its shape
+        (1.0, 1.0, 10.5, False, False),  # nor are ten in one square
     ],
 )
-def test_a_misfit_is_noise_up_to_a_size_and_a_shape(deviations, clumping, white, explained):
-    assert (reason_against_fit(Misfit(1e-4, deviations, clumping), white, 0.1) == "") is explained
-    assert "mm from any shape" in reason_against_fit(Misfit(0.03, deviations, clumping), white, 0.1)
+def test_a_misfit_is_noise_up_to_a_size_and_a_shape(
+    deviations, clumping, regional, white, explained
+):
+    small, large = (Misfit(rms, deviations, clumping, regional) for rms in (1e-4, 0.03))
+    assert (reason_against_fit(small, white, 0.1) == "") is explained
+    assert "mm from any shape" in reason_against_fit(large, white, 0.1)
 
 
 def image(depth_m):

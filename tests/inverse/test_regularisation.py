@@ -59,7 +59,7 @@ def noise_rms(pipeline, sighting, frame):
     view = observer.around(pipeline.mesh.deformed(truth))
     observation = observer.observe(frame.depth_m, view.model_m)
     error = (observation.residual_m - view.model_m)[view.block]
-    return observer.misfit(observation, view.block, error).rms_m
+    return observer.misfit(observation, view.block, error, 1.0).rms_m
 
 
 @pytest.mark.parametrize(
