@@ -40,11 +40,13 @@ is. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
-        "no_data": "too few depth pixels lie on the membrane or on the contact; uncover the "
-        "camera, check the sensor file, or see bubbleviz info for damaged images",
+        "no_data": "too few depth pixels lie on the membrane, or fewer on the contact than nodes "
+        "of the mesh; uncover the camera, coarsen the mesh (membrane.nodes), check the sensor "
+        "file, or see bubbleviz info for damaged images",
         "not_converged": "the solver did not converge; look at the residual in the window, or try "
         "another --solver",
-        "implausible": "depths do not fit this membrane; check sensor file and unit of depth",
+        "implausible": "depths do not fit this membrane; an object may hide it, or the press may "
+        "be too deep to solve, else check sensor file and unit of depth",
     }
 )
 """Default reason of each status."""
