@@ -70,9 +70,9 @@ def write_sensor(
         bubbleviz identify punyo_press_a --sensor OLD/punyo_oval_d405.toml \
             --out presets/sensors/punyo_oval_d405.toml
 
-    which keeps the rim plane, camera axes and name of the old preset. OLD must not know what was
-    found from the same press: delete its rubber and pressures, and write gauge_pressure_pa = 5258,
-    the recorded pressure minus the standard atmosphere.
+    which keeps the rim plane, camera axes and name of the old preset. OLD must not know the
+    gauge pressure found from the same press: delete gauge_sigma_pa and atmospheric_pressure_pa, and
+    write gauge_pressure_pa = 5258, the recorded pressure minus the standard atmosphere.
 
     Returns
     -------

@@ -35,7 +35,8 @@ def as_input_error(
     except Exception as error:
         reason = reason_of(error, 200).partition(": (")[0].rstrip(".")  # rosbags adds a tuple
         if isinstance(error, AssertionError | UnicodeError):
-            reason = "it is not UTF-8 text" if remedy else "some of its bytes are damaged"
+            text = remedy and isinstance(error, UnicodeError)
+            reason = "it is not UTF-8 text" if text else "some of its bytes are damaged"
         if isinstance(error, MemoryError):  # libraries allocate whatever size they read
             reason = "a size in it is damaged, or too little memory is free"
         if isinstance(error, KeyError):

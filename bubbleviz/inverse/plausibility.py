@@ -31,8 +31,8 @@ IMPLAUSIBLE_CLUMPING = 6.0
 averaging over blocks does not reduce them; up to it the force is off by less than a tenth."""
 
 IMPLAUSIBLE_REGION = 10.0
-"""The same for the median of a square of the image. Chosen: correct presses, at most 4; a plane
-across a whole dome, which a plate resembles, 7; a hand in front of the membrane, 190."""
+"""Median residual of a square of the image, in standard deviations, beyond which it does not show
+the membrane. Chosen: correct presses reach 4, a plane across a whole dome 9.5, a hand 190."""
 
 IMPLAUSIBLE_SHARE = 0.2
 """Misfit relative to the membrane's size beyond which an image shows no membrane, however noisy it
@@ -40,13 +40,13 @@ is. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
-        "no_data": "too few depth pixels lie on the membrane, or fewer on the contact than nodes "
-        "of the mesh; uncover the camera, coarsen the mesh (membrane.nodes), check the sensor "
+        "no_data": "too few depth pixels lie on the membrane, or too few on the contact for the "
+        "mesh there; uncover the camera, coarsen the mesh (membrane.nodes), check the sensor "
         "file, or see bubbleviz info for damaged images",
         "not_converged": "the solver did not converge; look at the residual in the window, or try "
         "another --solver",
         "implausible": "depths do not fit this membrane; an object may hide it, or the press may "
-        "be too deep to solve, else check sensor file and unit of depth",
+        "be too deep to solve; otherwise check sensor file and unit of depth",
     }
 )
 """Default reason of each status."""

@@ -274,7 +274,7 @@ def _check_whole(path: Path) -> None:
 MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log, publish time
 _SCHEMA_OP, _CHANNEL_OP, _MESSAGE_OP, _CHUNK_OP, _INDEX_OP = range(3, 8)
-_DATA_END_OP = 15
+_DATA_END_OP, _DATA_END_LENGTH = 15, 4
 _UNCHUNKED = -1  # chunk number of messages outside chunks
 _MAX_MESSAGES = 10_000_000  # of a topic in a file without an index: four days at 30 Hz
 
@@ -328,6 +328,8 @@ class McapStorage:
         file.seek(0)  # the library checks the magic bytes at the start
         try:
             summary = SeekingReader(file, record_size_limit=MAX_SIZE).get_summary()
+        except (OSError, MemoryError):
+            raise
         except Exception:  # damaged
             summary = None
         chunks = [] if summary is None else summary.chunk_indexes
@@ -402,7 +404,7 @@ class McapStorage:
         walked, end, cut = len(MAGIC), len(MAGIC), self.is_cut
         for opcode, at, length in _records(self._file, walked, stop):
             walked = at + 9 + length
-            if opcode == _DATA_END_OP:  # the summary follows
+            if opcode == _DATA_END_OP and length == _DATA_END_LENGTH:  # the summary follows
                 walked = stop
                 break
             if opcode == _CHUNK_OP:

@@ -253,12 +253,19 @@ def test_damaged_text_is_called_damage(tmp_path, kind, text):
 def test_an_mcap_with_a_damaged_summary_is_scanned(tmp_path):
     path = fill(BagMaker("mcap file")).write(tmp_path)
     rewrite(path)
+    with path.open("rb") as file:
+        second = make_reader(file).get_summary().chunk_indexes[1].chunk_start_offset
     before, name, after = path.read_bytes().rpartition(b"/cam/depth/image")  # in the summary
     path.write_bytes(before + b"\xff" + name[1:] + after)
     with pytest.raises(UnicodeDecodeError), path.open("rb") as file:
         make_reader(file).get_summary()
     assert info(path).frames == 6
     read_all(path)
+    damaged = bytearray(path.read_bytes())
+    damaged[second] = 15  # a chunk that pretends to be the end of the data
+    path.write_bytes(damaged)
+    with pytest.raises(InputError):  # not a recording of the first chunk alone
+        read_all(path)
 
 
 def rewrite(path, **options):

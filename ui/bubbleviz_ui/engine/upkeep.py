@@ -52,14 +52,15 @@ TICK_MS = 1000
 IDLE_TICKS = 3
 """Ticks without a change after which the window is idle."""
 LARGE_BYTES = 4 << 20
-"""Larger blocks are returned when freed; images (≤ 2.5 MB) are not, each frame needs new ones."""
+"""Larger blocks are returned when freed. Images (2.5 MB of 640×480) are not: each frame needs new
+ones."""
 M_ARENA_MAX, M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -8, -3, -1
 
 
 def limit_heaps() -> None:
     """Let all threads share two heaps, and return large blocks when freed (glibc only).
 
-    Else the heap of each thread keeps unused memory; Python's threads take turns anyway.
+    Otherwise the heap of each thread keeps unused memory.
     """
     _call_glibc("mallopt", M_ARENA_MAX, 2)
     for threshold in (M_MMAP_THRESHOLD, M_TRIM_THRESHOLD):
