@@ -30,8 +30,8 @@ UPPER_95 = 1.6
 deviation is a fifth."""
 
 _MODEL_ERROR_M = 6e-5
-"""Errors of a correct model, averaged over squares. Chosen: twice their rms on the real press while
-it is held."""
+"""Errors of a correct model beside those of facets, averaged over squares. Chosen: twice their rms
+on the real press while it is held."""
 
 MAD = 0.6745  # median of |z| of a standard normal z
 _MIDDLE_MEAN = 0.6934  # mean of the middle half of its |z|
@@ -88,8 +88,12 @@ class BlockSquares:
         bent = bent[np.isfinite(bent)]
         return float(median(np.abs(bent)) / (MAD * np.sqrt(6.0))) if bent.size else 1.0
 
-    def largest_median(self, block: np.ndarray, error: np.ndarray, weight: np.ndarray) -> float:
+    def largest_median(
+        self, block: np.ndarray, error: np.ndarray, weight: np.ndarray, model_m: float
+    ) -> float:
         """Largest size of a median error (k,) of a square, over its σ, with weights 1/σ² (k,).
+
+        `model_m`: σ of errors that a whole square has in common.
 
         Of squares, also shifted by half a square, that are half measured. An error of a smaller
         part, as of a cable, hardly changes the median, nor, by the robust weights, the estimate.
@@ -104,7 +108,7 @@ class BlockSquares:
             full = np.flatnonzero(count >= 0.5 * self.side**2)
             by_square = np.argsort(square, kind="stable")
             middle = error[by_square[(np.cumsum(count) - count + count // 2)[full]]]
-            sigma = np.sqrt(0.5 * np.pi / precision[full] + _MODEL_ERROR_M**2)
+            sigma = np.sqrt(0.5 * np.pi / precision[full] + model_m**2)
             largest = float(np.max(np.abs(middle) / sigma, initial=largest))
         return largest
 
@@ -583,7 +587,12 @@ class RangeObserver:
             rms_m=float(np.sqrt(square / total)),
             deviations=float(median(np.abs(z[weight > 0.0])) / MAD),
             clumping=float(sums @ sums) / max(square, 1e-300),
-            regional=self._squares.largest_median(block, error_m, weight / noise**2),
+            regional=self._squares.largest_median(
+                block,
+                error_m,
+                weight / noise**2,
+                float(np.hypot(_MODEL_ERROR_M, self.facet_error_m)),
+            ),
         )
 
     def noise_factor(
