@@ -30,8 +30,8 @@ UPPER_95 = 1.6
 deviation is a fifth."""
 
 _MODEL_ERROR_M = 6e-5
-"""Errors of a correct model beside those of facets, averaged over squares. Chosen: twice their rms
-on the real press while it is held."""
+"""σ of the mean error that a correct model leaves in a square, besides that of its facets. Chosen:
+twice the rms of such means, 0.03 mm, on the real press while it is held."""
 
 MAD = 0.6745  # median of |z| of a standard normal z
 _MIDDLE_MEAN = 0.6934  # mean of the middle half of its |z|
@@ -51,7 +51,7 @@ class BlockSquares:
         # (B,) int, number of the square of each
         self.of_block = (row // self.side) * columns + column // self.side
         half = self.side // 2
-        # the same for squares shifted by half a square; 16 bits are sorted faster
+        # the same, also for squares shifted by half a square; NumPy sorts 16 bits faster
         self._shifted = [
             ((row + down) // self.side * (columns + 1) + (column + right) // self.side).astype(
                 np.uint16
@@ -91,12 +91,12 @@ class BlockSquares:
     def largest_median(
         self, block: np.ndarray, error: np.ndarray, weight: np.ndarray, model_m: float
     ) -> float:
-        """Largest size of a median error (k,) of a square, over its σ, with weights 1/σ² (k,).
+        """Largest absolute median of the errors (k,) of a square, in standard deviations.
 
-        `model_m`: σ of errors that a whole square has in common.
-
-        Of squares, also shifted by half a square, that are half measured. An error of a smaller
-        part, as of a cable, hardly changes the median, nor, by the robust weights, the estimate.
+        `weight` (k,) is 1/σ² of the noise of each, `model_m` the σ of an error that a square has in
+        common. Only squares of which at least half is measured count. Squares shifted by half a
+        square are included, so that it hardly matters where an object lies. The error of a small
+        part of a square, as by a cable, changes neither its median nor the robust estimate.
         """
         order = np.argsort(error)
         order = order[weight[order] > 0.0]
@@ -221,7 +221,7 @@ class Misfit:
     # variance of sums over squares of blocks, relative to white residuals: 1 for white noise,
     # the number of blocks worth one sample where noise is correlated
     clumping: float
-    # largest median of a square, in standard deviations of noise and of a correct model
+    # largest median of a square, see `BlockSquares.largest_median`
     regional: float
 
 

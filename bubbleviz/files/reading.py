@@ -23,7 +23,7 @@ MAX_ARRAY_BYTES = 1 << 30  # of one file, decompressed: 870 images of 640×480 p
 def as_input_error(
     path: str | Path,
     what: str,
-    remedy: str = "",  # empty for a recording
+    remedy: str = "",  # empty: that for a recording
 ) -> Iterator[None]:
     """Convert any exception that a damaged file causes in a reader to InputError."""
     try:

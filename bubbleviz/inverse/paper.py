@@ -86,8 +86,8 @@ class PaperEstimator(Estimator):
         if not (converged and balanced):
             reason = STATUS_REASONS["not_converged"]
             return no_estimate(mesh, "not_converged", reason), Start()
-        left = observation, self._view.block, error - self._view.jacobian @ motion.ravel()
-        misfit = self.observer.misfit(*left, self.observer.noise_factor(*left))
+        residual = observation, self._view.block, error - self._view.jacobian @ motion.ravel()
+        misfit = self.observer.misfit(*residual, self.observer.noise_factor(*residual))
         if doubt := reason_against_fit(misfit, self.observer.white, self.size_m):
             return no_estimate(mesh, "implausible", doubt, misfit.rms_m), Start()
         law = self.bubble.gas_at(mesh.nodes + motion)[0]

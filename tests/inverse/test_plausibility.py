@@ -27,7 +27,7 @@ from tests.inverse.conftest import CAMERA, GAUGE, SENSOR, estimator, first
         (2.0, 7.0, 1.0, True, False),  # six times what white noise leaves in squares of blocks
         (2.0, 7.0, 1.0, False, True),
         (1.2, 50.0, 9.5, True, True),  # smaller than the noise, whatever its shape
-        (1.0, 1.0, 10.5, False, False),  # nor are ten in one square
+        (1.0, 1.0, 10.5, False, False),  # a square is off by more than ten
     ],
 )
 def test_a_misfit_is_noise_up_to_a_size_and_a_shape(

@@ -312,7 +312,7 @@ def test_a_varied_membrane_has_the_stress_of_its_own_surface_and_pressure():
     tension = reference_tension(sensor, mesh)
     anew = varied_rubber(sensor, mesh, tension)
     handed = varied_rubber(sensor, mesh, tension, stress=rest_stress(sensor, mesh))
-    assert len(anew) == len(handed) == 8  # λ, gauge pressure, and the six others of its file
+    assert len(anew) == len(handed) == 8  # γ0, gauge pressure, λ, five others of the rubber
     for one, other in zip(anew, handed, strict=True):
         assert one.gauge_pressure_pa == other.gauge_pressure_pa
         expected = one.stress(mesh.nodes)

@@ -54,7 +54,7 @@ IDLE_TICKS = 3
 LARGE_BYTES = 4 << 20
 """Larger blocks are returned when freed. Images (2.5 MB of 640×480) are not: each frame needs new
 ones."""
-M_ARENA_MAX, M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -8, -3, -1
+M_ARENA_MAX, M_MMAP_THRESHOLD, M_TRIM_THRESHOLD = -8, -3, -1  # of malloc.h
 
 
 def limit_heaps() -> None:
