@@ -100,8 +100,7 @@ class Solver:
             motion = predicted.corrected(fit.T_B_O, fit.surface)
             persistent = np.linalg.inv(fit.surface + SEARCH_INFORMATION)
         else:
-            motion, persistent = by_image
-            fit = self._registration.at(contact, fit, motion.T_B_O)
+            motion, persistent, fit = by_image
         found, count = directions(fit.surface, contact.radius_m), len(contact.points)
         here = about(motion.center, contact.center)
         pose = Pose(
@@ -170,11 +169,12 @@ class Solver:
 
     def _image_fit(
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
-    ) -> tuple[Motion, np.ndarray] | None:
-        """Motion and persistent covariance by the depth image; None if no press is found.
+    ) -> tuple[Motion, np.ndarray, Fit] | None:
+        """Motion, persistent covariance and fit by the depth image.
 
-        A contact narrower than a triangle is not tried: at an edge of the object the press's flat
-        triangles are 0.2 mm off, and derivatives by turns about it as wrong as they are large.
+        None if no press is found, or if the contact refutes the pose: at an edge of the object the
+        press's flat triangles are 0.2 mm off, and derivatives by turns about it as wrong as they
+        are large. So a contact narrower than a triangle is not tried.
         """
         if contact.width_m < self._membrane.mesh.edge_length:
             return None
@@ -205,7 +205,10 @@ class Solver:
             if self._image.covers(T, contact, valid_m):
                 break
         assert step is not None  # there is at least one
-        return predicted.corrected(T, information), step.persistent
+        seen = self._registration.at(contact, fit, T)
+        if seen.cost > fit.cost + _AS_LIKELY:
+            return None
+        return predicted.corrected(T, information), step.persistent, seen
 
 
 # Search for initial poses: each face on the patch, at each of several angles about its normal.
