@@ -44,6 +44,7 @@ class FineContact:
             coarse,
             displacement_m=np.einsum("ij,ij->i", self.motion_m, self.mesh.normals),
             contact_pressure_pa=self.contact_pressure_pa,
+            averaged_pressure_pa=None,
             displacement_3d_m=self.motion_m,
             resolution_m=self.resolution_m,
             fine=None,
@@ -118,6 +119,10 @@ class Estimate:
         paper's solver.
     reason : str
         Why the numbers are not trustworthy, in one clause; empty if they are.
+    averaged_pressure_pa : (n,) array or None
+        Mean of p_c over the set of nodes in contact and those that differ from it by one node,
+        weighted by their evidence, Pa: the patch's edge follows it. None for the paper's solver,
+        and on a finer mesh.
     fine : FineContact or None
         The contact on a finer mesh; None where the mesh is as fine as the noise allows.
     seen_share : float
@@ -149,6 +154,7 @@ class Estimate:
     gas_law_pa: float | None = None
     resolution_m: float | None = None
     reason: str = ""
+    averaged_pressure_pa: np.ndarray | None = None
     fine: FineContact | None = None
     seen_share: float = np.nan
     image_errors: ImageErrors | None = None

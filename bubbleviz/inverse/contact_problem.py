@@ -22,6 +22,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import solve
 from scipy.linalg.blas import dger
+from scipy.special import expit
 
 from bubbleviz.inverse.measurements import Measurements
 from bubbleviz.inverse.pivoting import nonnegative_qp, part
@@ -50,6 +51,9 @@ from bubbleviz.membrane import (
 
 _BOUNDARY_COST = 0.5 * log(2.0)
 """β: a boundary has about two ways to continue at every node, and cuts two mesh edges there."""
+MAX_EXCHANGE_NODES = 300
+"""Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
+the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
 _MIN_GAIN = 1e-6
 """Least gain of an exchange: rounding errors must not repeat an exchange forever."""
 
@@ -84,10 +88,7 @@ class SupportProblem:
         start : (c,) bool array
         """
         support, pivots, solved = self._nonnegative(start)
-        posterior = _SweepOperator(
-            np.block([[self.hessian, self.linear[:, None]], [self.linear, 0.0]])
-        )
-        prior = _SweepOperator(self.smoothness)
+        posterior, prior = self._operators()
         for _ in range(len(start)):
             if not (solved and support.any()):
                 break
@@ -107,6 +108,25 @@ class SupportProblem:
             support[best] ^= True
             pivots += 1
         return support, pivots, solved
+
+    def averaged_pressure(self, support: np.ndarray) -> np.ndarray:
+        """Mean pressure (c,), Pa, over a support and those that differ from it by one node.
+
+        To first order, with independent exchanges: each has the probability e^gain / (1 + e^gain).
+        """
+        posterior, prior = self._operators()
+        posterior.sweep(support)
+        prior.sweep(support)
+        inverse, slope = posterior.matrix[:-1, :-1], posterior.matrix[:-1, -1]
+        probability = expit(self._gain(support, posterior.matrix, prior.matrix))
+        exchanged = probability * slope / np.diag(inverse)
+        mean = np.where(support, inverse @ exchanged - slope, -exchanged)
+        return np.maximum(mean, 0.0)
+
+    def _operators(self) -> tuple[_SweepOperator, _SweepOperator]:
+        """Matrices of the posterior, with its linear term, and of the prior."""
+        posterior = np.block([[self.hessian, self.linear[:, None]], [self.linear, 0.0]])
+        return _SweepOperator(posterior), _SweepOperator(self.smoothness)
 
     def _nonnegative(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Nodes (c,) bool of a support that are under pressure, pivots, and if it converged."""
@@ -379,18 +399,9 @@ class ContactProblem:
         The L1 term penalises force, not area: it omits some nodes of a contact, which ones depends
         on the initial support.
         """
-        prior = self._prior
-        near = prior.with_neighbours(selection.support)
+        near = self._prior.with_neighbours(selection.support)
         self._include(np.flatnonzero(near))
-        inner = np.flatnonzero(prior.smoothness.diagonal()[self._nodes] > 0.0)  # not of the rim
-        work = self._nodes[inner]
-        problem = SupportProblem(
-            part(self._hessian, inner),
-            dense_part(prior.smoothness, work),
-            self._linear[inner],
-            adjacency(prior.rings, work),
-            np.count_nonzero(prior.rings[:, work] != work, axis=0),
-        )
+        problem, work = self._supports(self._nodes)
         chosen, pivots, solved = problem.max_evidence(selection.support[work])
         support = np.zeros_like(selection.support)
         support[work] = chosen
@@ -400,6 +411,33 @@ class ContactProblem:
             pivots=selection.pivots + pivots,
             converged=selection.converged and solved,
         )
+
+    def averaged_pressure(self, pressure: np.ndarray) -> np.ndarray:
+        """Mean pressure (n,), Pa, over the support of a solution and those that differ by one node.
+
+        Where several supports are about equally likely, it hardly depends on which one was found.
+        """
+        support, averaged = pressure > 0.0, pressure.copy()
+        if 0 < np.count_nonzero(support) <= MAX_EXCHANGE_NODES:
+            near = np.flatnonzero(self._prior.with_neighbours(support))
+            self._include(near)
+            problem, work = self._supports(near)
+            averaged[work] = problem.averaged_pressure(support[work])
+        return averaged
+
+    def _supports(self, nodes: np.ndarray) -> tuple[SupportProblem, np.ndarray]:
+        """Problem of the supports within formed nodes (c,), and those of them off the rim."""
+        prior = self._prior
+        work = nodes[prior.smoothness.diagonal()[nodes] > 0.0]
+        where = self._place[work]
+        problem = SupportProblem(
+            part(self._hessian, where),
+            dense_part(prior.smoothness, work),
+            self._linear[where],
+            adjacency(prior.rings, work),
+            np.count_nonzero(prior.rings[:, work] != work, axis=0),
+        )
+        return problem, work
 
     def solve_debiased(self, selection: Selection, touches: TouchRule) -> ContactPressure:
         """Solve on a support without the L1 term.

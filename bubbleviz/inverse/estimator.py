@@ -330,6 +330,7 @@ class Estimator:
             status="ok" if answer.touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
             contact_pressure_pa=state.pressure,
+            averaged_pressure_pa=contact.problem.averaged_pressure(contact.pressure),
             gas_pressure_change_pa=state.gas,
             residual_rms_m=answer.misfit.rms_m,
             kkt_residual=contact.problem.kkt_residual(contact.pressure),

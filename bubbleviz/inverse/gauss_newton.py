@@ -12,6 +12,7 @@ from scipy import sparse
 
 from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, RangeObserver, ShapeRanges
 from bubbleviz.inverse.contact_problem import (
+    MAX_EXCHANGE_NODES,
     ContactPressure,
     ContactProblem,
     Prior,
@@ -40,9 +41,6 @@ TANGENT_REUSE, LARGE_MOTION, MAX_STEP = 0.2, 0.5, 2.0
 """Motions of the nodes, in mesh edges. A tangent is reused within `TANGENT_REUSE` of the shape at
 which it was computed, or within the length of the last step if that is longer: the residual is
 always exact. A step longer than `LARGE_MOTION` is large, and none exceeds `MAX_STEP`."""
-_MAX_EXCHANGE_NODES = 300
-"""Most nodes of a contact whose support is optimised by its evidence: an exchange of one node costs
-the square of their number, and the edge of a larger contact is a small part of it. Chosen."""
 _MAX_SOLUTIONS = 4
 """Most solutions of a linearised problem on one support, each with the hyperparameters that the
 previous one determined; also the most supports selected in one step."""
@@ -497,7 +495,7 @@ class GaussNewton:
         selection = Selection(support)
         if rounds and (support.any() or not problem.zero_is_optimal()):
             selection = problem.select(support, rounds)
-        if rounds and 0 < np.count_nonzero(selection.support) <= _MAX_EXCHANGE_NODES:
+        if rounds and 0 < np.count_nonzero(selection.support) <= MAX_EXCHANGE_NODES:
             selection = problem.max_evidence(selection)
         if rounds and near:  # with it from the first step on, fewer frames converge
             continued = self._continued(selection.support, observed)

@@ -64,7 +64,9 @@ class PatchFinder:
             resolution = estimate.resolution_m or self._resolution_m
             band = self._edge.blur_m(resolution)
             contact = pressure
-            level = self._level(contact, gas, resolution)
+            averaged = estimate.averaged_pressure_pa
+            drawn = pressure if averaged is None else averaged
+            level = self._level(drawn, pressure > 0.0, gas, resolution)
         else:
             threshold = kappa * mean_pressure(mesh, pressure)
             contact = np.where(pressure > threshold, pressure, 0.0)
@@ -102,14 +104,16 @@ class PatchFinder:
             torque_nm=np.cross(arm, force).sum(axis=0),
         )
 
-    def _level(self, contact: np.ndarray, gas_pa: float, resolution_m: float) -> np.ndarray:
+    def _level(
+        self, contact: np.ndarray, support: np.ndarray, gas_pa: float, resolution_m: float
+    ) -> np.ndarray:
         level = self._edge.level_set(contact, gas_pa, resolution_m)
-        part = np.full(len(contact), -1)
-        _, part[contact > 0.0] = connected_parts(self._mesh.rings, contact > 0.0)
+        part = np.full(len(support), -1)
+        _, part[support] = connected_parts(self._mesh.rings, support)
         drawn = np.zeros(part.max(initial=-1) + 2, bool)
         drawn[part[level > 0.0]] = True
         # A contact smaller than the resolution has no contour: its nodes are the patch.
-        small = np.flatnonzero((contact > 0.0) & ~drawn[part])
+        small = np.flatnonzero(support & ~drawn[part])
         if len(small):
             edge = self._mesh.edge_length
             around = self._mesh.rings[:, small]

@@ -182,7 +182,7 @@ class PatchEdge:
     ) -> np.ndarray:
         outside = self._outside(region, p - floor, blur)
         inward = max(1.0, _INWARD * blur / self.edge_length_m)
-        inside_pressure = _pressure_inside(region, p, outside, inward)
+        inside_pressure = _pressure_inside(region, p, _membership(p / floor, outside), inward)
         contour = _contour(region, p, inside_pressure, outside, floor, inward)
         distance = self._distance(region, contour, blur)
         reach = 3.0 * blur
@@ -270,18 +270,25 @@ class PatchEdge:
         return Region.of(self.mesh, mask)
 
 
-def _pressure_inside(
-    region: Region, p: np.ndarray, outside: np.ndarray, rings: float
-) -> np.ndarray:
+def _membership(share: np.ndarray, outside: np.ndarray) -> np.ndarray:
+    """Degree (k,) to which nodes are inside, 0 to 1, by their pressure over the floor.
+
+    It is 0.5 at the floor and rises over one floor, so that the pressure inside does not jump when
+    the pressure of a node at the edge crosses the floor. Nodes of a hole caused by blur are inside.
+    """
+    return np.where(outside | (share > 1.0), np.clip(share - 0.5, 0.0, 1.0), 1.0)
+
+
+def _pressure_inside(region: Region, p: np.ndarray, member: np.ndarray, rings: float) -> np.ndarray:
     """Pressure (k,) inside next to each node, Pa: the largest local mean within some rings of it.
 
     Means are over nodes with no neighbour outside. A small contact has one such node or none, too
     few for a mean: the mean over all nodes, weighted by how far inside they are, counts as one more
-    node.
+    node. `member` (k,) is the degree to which each is inside.
     """
-    share = region.totals((~outside).astype(float)) / (region.neighbours + 1)
-    weight = np.where(outside, 0.0, share**_INSIDE)
-    inner = ~region.touches(outside)
+    share = region.totals(member) / (region.neighbours + 1)
+    weight = member * share**_INSIDE
+    inner = -region.maximum(-member, 1)
     weighed, weights, inward, count = region.totals(
         np.stack([weight * p, weight, inner * p, inner])
     )

@@ -29,9 +29,9 @@ def test_warm_starts_of_the_real_press(punyo_press):
     area = np.array([[r.patch.area_m2 for r in way] for way in (alone, *ways)])
     force = np.array([[force_of(r) for r in way] for way in (alone, *ways)])
     areas, forces = np.abs(area[1:] / area[0] - 1.0), np.abs(force[1:] / force[0] - 1.0)
-    assert np.quantile(areas, 0.9) < 0.05
+    assert areas.max() < 0.05
     assert forces.max() < 0.01
-    assert np.mean(areas < 0.03) >= 0.8  # 0.95 is wanted
+    assert np.mean(areas < 0.03) >= 0.9  # 0.95 is wanted
 
 
 def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(punyo_press):
@@ -64,17 +64,16 @@ def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
         differences = np.array([abs(force_of(each) - force) for each in others])
         shares.extend(differences / max(0.01 * force, 0.25 * sigma))
         areas.extend(area_of(each) / area_of(alone) for each in others)
-    # two supports of three nodes can fit equally well
+    # two supports of three nodes can fit equally well, with other forces
     assert np.mean(np.array(shares) < 1.0) >= 0.95
     assert max(shares) < 1.3
-    assert np.allclose(areas, 1.0, atol=0.3)
+    assert np.allclose(areas, 1.0, atol=0.15)
 
 
 def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
     """Contacts of two to nine nodes, whose images fit no shape to the noise.
 
-    While the press is loaded the camera's filter mixes images, and two amplitudes of friction fit
-    nearly as well: one of the frames, 65, still hangs on those before it.
+    While the press is loaded the camera's filter mixes images.
     """
     with Recording(punyo_press) as recording:
         frames = [recording[k] for k in range(60, 71)]
@@ -86,9 +85,9 @@ def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
         alone.append(pipeline.process(frame, PATCH))
     assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
     for value, median, most in (
-        (normal_of, 0.015, 0.08),
-        (force_of, 0.02, 0.15),
-        (area_of, 0.06, 0.4),
+        (normal_of, 0.01, 0.03),
+        (force_of, 0.01, 0.03),
+        (area_of, 0.03, 0.25),
     ):
         change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]
         assert np.median(change) < median

@@ -77,6 +77,28 @@ def test_a_clear_support_is_found_from_any_initial_one(seed):
         np.testing.assert_array_equal(chosen, max_evidence)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_averaged_pressure_is_the_mean_over_exchanges_of_a_node(seed):
+    row = Row(np.array([0.0, 0, 9, 6, 6, 9, 0, 0]), 0.9, seed)
+
+    def solution(support):
+        J, P = row.J[:, support], row.smoothness[np.ix_(support, support)]
+        pressure = np.zeros(NODES)
+        pressure[support] = np.linalg.solve(J.T @ J + P, J.T @ row.y)
+        return pressure
+
+    chosen, _, _ = row.problem().max_evidence(np.arange(NODES) == 4)
+    mean = solution(chosen)
+    for node in range(NODES):
+        other = chosen.copy()
+        other[node] ^= True
+        odds = np.exp(row.evidence(other) - row.evidence(chosen))
+        mean += odds / (1.0 + odds) * (solution(other) - solution(chosen))
+    found = row.problem().averaged_pressure(chosen)
+    np.testing.assert_allclose(found, mean, rtol=1e-4, atol=1e-4)
+    assert np.abs(found - solution(chosen)).max() > 1e-3  # an exchange is not impossible
+
+
 def test_a_problem_that_cannot_be_solved_has_no_answer():
     problem = replace(Row(np.ones(NODES), 1.0, 0).problem(), hessian=-np.eye(NODES))
     assert not problem.max_evidence(np.arange(NODES) == 4)[2]

@@ -13,10 +13,11 @@ from bubbleviz.inverse import (
     EstimatorOptions,
     PatchFinder,
     area_above,
+    components,
     mean_pressure,
     without_small,
 )
-from bubbleviz.membrane import MembraneMesh, build_mesh
+from bubbleviz.membrane import MembraneMesh, build_mesh, grown
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
@@ -129,6 +130,31 @@ def test_the_area_of_a_small_contact_does_not_jump(changed):
     assert min(touching) > 0
     same = np.diff(touching) == 0
     assert np.abs(np.diff(np.log(areas)))[same].max() < 0.3
+
+
+def test_a_node_that_crosses_the_floor_does_not_change_the_area_by_a_jump():
+    """At half the gauge pressure, next to a contact of some ten nodes."""
+    r = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1])
+    pressure = np.where(r < 1.6 * MESH.edge_length, GAUGE * np.exp(2.0 - r / 0.003), 0.0)
+    beside = np.flatnonzero(r > 1.6 * MESH.edge_length)
+    node, areas = beside[np.argmin(r[beside])], []
+    for share in (0.4999, 0.5001):
+        pressure[node] = share * GAUGE
+        areas.append(PatchFinder(MESH, GAUGE, 0.002).find(made_up(pressure.copy())).area_m2)
+    assert areas[1] == pytest.approx(areas[0], rel=1e-3)
+
+
+def test_a_small_contact_beside_a_large_one_is_drawn():
+    """Also where it is unlikely, but not impossible, that the nodes between them touch."""
+    large = np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1]) < 3.0 * MESH.edge_length
+    touching = np.where(large, 3.0 * GAUGE, 0.0)
+    ring = grown(MESH.rings, large)
+    small = np.flatnonzero(grown(MESH.rings, ring) & ~ring)[0]
+    touching[small] = 0.7 * GAUGE
+    averaged = np.where(grown(MESH.rings, touching > 0.0), np.maximum(touching, 1e-6), 0.0)
+    estimate = replace(made_up(touching), averaged_pressure_pa=averaged)
+    patch = PatchFinder(MESH, GAUGE, 0.003).find(estimate)
+    assert len(components(MESH, estimate, patch)) == 2
 
 
 @pytest.mark.parametrize(("radius", "within"), [(0.006, 0.19), (0.012, 0.1), (0.018, 0.1)])
