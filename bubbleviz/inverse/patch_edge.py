@@ -273,8 +273,8 @@ class PatchEdge:
 def _membership(share: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """Degree (k,) to which nodes are inside, 0 to 1, by their pressure over the floor.
 
-    It is 0.5 at the floor and rises over one floor, so that the pressure inside does not jump when
-    the pressure of a node at the edge crosses the floor. Nodes of a hole caused by blur are inside.
+    It rises from 0 at half the floor to 1 at one and a half, so that a node at the edge does not
+    change the pressure inside by a jump. Nodes of a hole caused by blur count as inside.
     """
     return np.where(outside | (share > 1.0), np.clip(share - 0.5, 0.0, 1.0), 1.0)
 

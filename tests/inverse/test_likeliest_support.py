@@ -96,7 +96,7 @@ def test_averaged_pressure_is_the_mean_over_exchanges_of_a_node(seed):
         mean += odds / (1.0 + odds) * (solution(other) - solution(chosen))
     found = row.problem().averaged_pressure(chosen)
     np.testing.assert_allclose(found, mean, rtol=1e-4, atol=1e-4)
-    assert np.abs(found - solution(chosen)).max() > 1e-3  # an exchange is not impossible
+    assert np.abs(found - solution(chosen)).max() > 1e-3  # some exchange is likely enough to matter
 
 
 def test_a_problem_that_cannot_be_solved_has_no_answer():

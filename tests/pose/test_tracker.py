@@ -143,14 +143,13 @@ def test_a_turned_body_of_revolution_looks_the_same(name):
 def test_a_search_tells_the_other_poses_that_fit_as_well(pipeline, sensor):
     """Of a light press the membrane does not show which face of a cuboid touches it."""
     T = turned("z", 20.0)
-    T[2, 3] = 0.063  # deeper, it depends on details of the estimate which of them are found
+    T[2, 3] = 0.063  # deeper, at 0.062, the search misses the true face
     pressed = SyntheticSource(sensor, cuboid(0.024, 0.018, 0.030), T[None], nodes=4_000)
     pipeline.track(pressed.obj)
     pose = pipeline.process(pressed[0], PRODUCTS).pose
     model = ObjectSurface(pressed.obj)
     assert len(looking_different(model, pose.T_B_O, pose.others)) == len(pose.others) > 0
-    found = (pose.T_B_O, *pose.others)
-    assert any(abs(each[2, 2]) > np.cos(np.radians(5.0)) for each in found)  # the true face
+    assert any(abs(each[2, 2]) > np.cos(np.radians(5.0)) for each in pose.others)  # the true face
 
 
 @pytest.mark.parametrize(("first_m", "found"), [(1e-3, True), (3e-3, False)])
