@@ -74,7 +74,7 @@ class ImageZero:
         self._known: ImageErrors | None = None
         self._time_s = 0.0
         self._rest: list[Result] = []
-        self._last: deque[Frame] = deque(maxlen=1 + LAG)
+        self._last: deque[Frame] = deque(maxlen=2 + LAG)
 
     def applied(self, frame: Frame) -> Frame:
         """The frame with the noise and the known errors, if any."""
@@ -99,11 +99,11 @@ class ImageZero:
             self._rest = []
 
     def _is_noise(self, result: Result, pipeline: Pipeline) -> bool:
-        """Whether noise explains an implausible image, by its change since some frames before."""
+        """Whether noise explains an implausible image, by changes of the images before it."""
         implausible = result.estimate is not None and result.estimate.status == "implausible"
-        if not implausible or len(self._last) <= LAG:
+        if not implausible or len(self._last) <= 1 + LAG:
             return False
-        noise, _ = pipeline.image_noise([self._last[0], result.frame])
+        noise, _ = pipeline.image_noise([self._last[0], self._last[LAG]])
         noisy = replace(result.frame, noise=noise)
         return noise > result.frame.noise and pipeline.is_untouched(noisy)
 
@@ -452,9 +452,14 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
             return frame
         if not _knows_errors(pipeline):
             return None
-        # Noise changes images as much before a frame as after it; a contact that begins does not.
-        others = {max(index - LAG, 0), min(index + LAG, len(source) - 1)} - {index}
-        noises = (pipeline.image_noise([frame, source[k]])[0] for k in sorted(others))
+        # Noise changes images before a frame as much as those from it on. A contact that begins, or
+        # a camera that moves, does not.
+        pairs = (max(index - 1 - LAG, 0), index - 1), (index, min(index + LAG, len(source) - 1))
+        noises = (
+            pipeline.image_noise([source[first], source[last]])[0]
+            for first, last in pairs
+            if first < last
+        )
         frame = replace(frame, noise=min(noises, default=1.0))
         untouched = frame.noise > 1.0 and pipeline.is_untouched(frame)
         return frame if untouched and not _explained_by_contact(frame, pipeline) else None

@@ -15,19 +15,24 @@ from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, touching_height
 from bubbleviz.zeros import zeros_of
-from tests.small_press import rubber_dome
+from tests.small_press import changed, rubber_dome
 
 REST, HELD = 20, 4
 SEEDS = range(4)
 
 
+def pressed(sensor, depths_m, **noise):
+    """Simulation of a ball that is pressed in by so much."""
+    poses = np.tile(np.eye(4), (len(depths_m), 1, 1))
+    top = touching_height(load_object("sphere"), poses[0], build_mesh(rubber_dome()))
+    poses[:, 2, 3] = top - np.array(depths_m)
+    return bv.simulate(sensor, "sphere", poses, **noise)
+
+
 @cache
 def shown():
     """The membrane at rest and with a ball in it, without noise; the ball's force."""
-    poses = np.tile(np.eye(4), (2, 1, 1))
-    top = touching_height(load_object("sphere"), poses[0], build_mesh(rubber_dome()))
-    poses[:, 2, 3] = top + 0.02, top - 0.006
-    simulation = bv.simulate(rubber_dome(), "sphere", poses)
+    simulation = pressed(rubber_dome(), (-0.02, 0.006))
     return [simulation[0], simulation[1]], simulation.truth(1).force_n
 
 
@@ -96,6 +101,18 @@ def test_a_camera_that_moves_is_not_contact(offset_m):
     estimator = bv.Estimator(rubber_dome())
     for k, frame in enumerate(frames[:REST]):
         assert estimator.update(shifted(frame, offset_m * (k >= 17))).status == "no_contact"
+
+
+def test_an_image_that_jumps_as_a_press_begins_is_not_noisy():
+    """Changes of the frames after it, in which the press goes on, are not noise either."""
+    sensor = changed(rubber_dome(), camera={"noise_relative": 0.002})
+    simulation = pressed(
+        sensor, [-0.02] * 5 + [2e-3, 4e-3, 6e-3, 8e-3], noise_relative=0.002, seed=1
+    )
+    frames = [simulation[k] for k in range(9)]
+    jumped = [replace(each, depth_m=np.roll(each.depth_m, -1, axis=1)) for each in frames[5:]]
+    zeros = zeros_of(HeldFrames([*frames[:5], *jumped]), Pipeline.of(sensor))
+    assert zeros.image.noise == 1.0
 
 
 @pytest.mark.parametrize("returns", [False, True])
