@@ -70,7 +70,7 @@ class ImageZero:
     def __init__(self) -> None:
         self.fixed = False
         self.noise = 1.0  # see `Frame.noise`
-        self._since_calibration: ImageErrors | None = None  # None: no frame seen
+        self._drift: ImageErrors | None = None  # since the calibration; None: no frame seen
         self._known: ImageErrors | None = None
         self._time_s = 0.0
         self._rest: list[Result] = []
@@ -115,15 +115,15 @@ class ImageZero:
         used = [each for each in rest[:-MIN_FRAMES] if _image_errors(each) is not None]
         moved = 2 * sum(map(camera_moved, used)) > len(used)
         if used and (moved or self._known is None):
-            self._since_calibration = self._known = pipeline.estimator.image_prior
+            self._drift, self._known = pipeline.estimator.image_priors
             self._time_s = used[0].frame.time_s
         for result in used:
             self._add(result, inflation)
 
     def _add(self, result: Result, inflation: float) -> None:
         """Update by an image: a step of a Kalman filter, in terms of inverse covariances."""
-        known, since, found = self._known, self._since_calibration, _image_errors(result)
-        assert known is not None and since is not None and found is not None
+        known, drift, found = self._known, self._drift, _image_errors(result)
+        assert known is not None and drift is not None and found is not None
         prior, time_s = found.prior, result.frame.time_s
         assert prior is not None
         # the image's estimate without its prior, widened by the scatter of single images
@@ -131,7 +131,7 @@ class ImageZero:
         weighted = np.linalg.solve(found.covariance, found.mean)
         weighted -= np.linalg.solve(prior.covariance, prior.mean)
         precision, weighted = precision / inflation, weighted / inflation
-        scatter = np.eye(len(precision)) + _JITTER**2 * precision @ since.covariance
+        scatter = np.eye(len(precision)) + _JITTER**2 * precision @ drift.covariance
         before = np.linalg.inv(self._walk(time_s))
         covariance = np.linalg.inv(before + np.linalg.solve(scatter, precision))
         mean = covariance @ (before @ known.mean + np.linalg.solve(scatter, weighted))
@@ -139,15 +139,15 @@ class ImageZero:
 
     def _at(self, time_s: float) -> ImageErrors:
         """Errors expected in an image at a time."""
-        known, since = self._known, self._since_calibration
-        assert known is not None and since is not None
-        return ImageErrors(known.mean, self._walk(time_s) + _JITTER**2 * since.covariance)
+        known, drift = self._known, self._drift
+        assert known is not None and drift is not None
+        return ImageErrors(known.mean, self._walk(time_s) + _JITTER**2 * drift.covariance)
 
     def _walk(self, time_s: float) -> np.ndarray:
-        """Covariance (4, 4) of the errors at a time, without the scatter of its image."""
-        known, since = self._known, self._since_calibration
-        assert known is not None and since is not None
-        walked: np.ndarray = min(abs(time_s - self._time_s) / _DRIFT_S, 1.0) * since.covariance
+        """Covariance (e, e) of the errors at a time, without the scatter of its image."""
+        known, drift = self._known, self._drift
+        assert known is not None and drift is not None
+        walked: np.ndarray = min(abs(time_s - self._time_s) / _DRIFT_S, 1.0) * drift.covariance
         return known.covariance + walked
 
 

@@ -47,6 +47,8 @@ _CAUSES = {
     "depth tilt to the right, at 45°": "m",
     "depth tilt downwards, at 45°": "m",
     "depth scale": "1",
+    "camera shift to the right": "m",
+    "camera shift downwards": "m",
     "gas pressure change from the shape": "Pa",
 }
 """Unit of each cause: those of `IMAGE_ERRORS`, and the gas pressure."""
@@ -289,7 +291,7 @@ class _RestComparison:
 
     @cached_property
     def patterns(self) -> np.ndarray:
-        """Derivative of the residuals by each cause, (B, 5), in m, m, m, 1 and Pa."""
+        """Derivative of the residuals by each cause, (B, c), see `_CAUSES`."""
         return np.column_stack([self._by_image, self._by_gas[0]])
 
     @cached_property

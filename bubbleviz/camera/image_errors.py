@@ -7,9 +7,16 @@ from functools import cached_property
 
 import numpy as np
 
-IMAGE_ERRORS = ("offset", "tilt to the right", "tilt downwards", "scale")
-"""An offset, in m; offsets that grow with the tangent of the angle off the optical axis, in m; and
-a share of the depth."""
+IMAGE_ERRORS = (
+    "offset",
+    "tilt to the right",
+    "tilt downwards",
+    "scale",
+    "shift to the right",
+    "shift downwards",
+)
+"""An offset, in m; offsets that grow with the tangent of the angle off the optical axis, in m; a
+share of the depth; and motion of the camera across its optical axis, in m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +25,8 @@ class ImageErrors:
 
     Attributes
     ----------
-    mean : (4,) array
-    covariance : (4, 4) array
+    mean : (e,) array
+    covariance : (e, e) array
     prior : ImageErrors or None
         Distribution before the image from which this one is estimated.
     """
@@ -30,7 +37,7 @@ class ImageErrors:
 
     @cached_property
     def units(self) -> np.ndarray:
-        """Combinations of errors, a column each, whose amplitudes are independent, (4, 4).
+        """Combinations of errors, a column each, whose amplitudes are independent, (e, e).
 
         Their standard deviations are 1.
         """
@@ -39,8 +46,8 @@ class ImageErrors:
 
     @cached_property
     def precision(self) -> np.ndarray:
-        """Inverse of the covariance, (4, 4)."""
-        return np.linalg.inv(self.covariance)
+        """Inverse of the covariance, (e, e); 0 for errors that are excluded."""
+        return np.linalg.pinv(self.covariance, hermitian=True)
 
     def widened(self, factor: float) -> ImageErrors:
         """The same with standard deviations times a factor."""

@@ -325,11 +325,16 @@ class RangeObserver:
         self._rest_range[at_rest.ray] = at_rest.range_m
         self._at_rest = np.full(self.blocks, -1)
         self._at_rest[at_rest.ray] = at_rest.triangle
-        # (B, 4), errors of the block ranges under a unit of each of `IMAGE_ERRORS`, 0 for blocks
+        # (B, e), errors of the block ranges under a unit of each of `IMAGE_ERRORS`, 0 for blocks
         # that do not see the membrane at rest
         right, down, forward = camera.T_B_C[:3, :3].T @ rays.T
         tilts = right / forward**2, down / forward**2
-        self.image_errors = np.stack([1.0 / forward, *tilts, self._rest_range], axis=1)
+        corners = mesh.normals[mesh.triangles[at_rest.triangle]]
+        normals = np.einsum("rk,rki->ri", at_rest.barycentric, corners)
+        along = np.einsum("ri,ri->r", normals, rays[at_rest.ray])
+        shifts = np.zeros((self.blocks, 2))
+        shifts[at_rest.ray] = -normals @ camera.T_B_C[:3, :2] / along[:, None]
+        self.image_errors = np.column_stack([1.0 / forward, *tilts, self._rest_range, shifts])
         self.image_errors[np.isnan(self._rest_range)] = 0.0
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:

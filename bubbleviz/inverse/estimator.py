@@ -19,6 +19,7 @@ from bubbleviz.inverse.plausibility import (
     GAS_CONTRADICTS,
     IMPLAUSIBLE_MISFIT,
     STATUS_REASONS,
+    reason_against_camera,
     reason_against_fit,
     reason_against_gas,
 )
@@ -80,7 +81,7 @@ class EstimatorOptions:
         `friction_nuisances`; 0 for contacts without friction.
     image_error : float
         Standard deviation, over the depth, of errors common to a whole depth image since
-        calibration: an offset, a scale and tilts. 0 for none.
+        calibration: an offset, a scale and tilts; a tenth for a shift of the camera. 0 for none.
     """
 
     solver: str | None = None
@@ -202,7 +203,8 @@ class Estimator:
         flow : MeasuredFlow, optional
             Of the colour image of the same moment; the membrane must be the exact one.
         image_errors : ImageErrors, optional
-            Of the depth image, as known from images without contact.
+            Of the depth image, as known from images without contact; by default those of a camera
+            that was not moved since the calibration, unless the image contradicts them.
         noise : float
             Noise factor of the depth image averaged over blocks of pixels, likewise.
         """
@@ -212,7 +214,8 @@ class Estimator:
         gas = behind.measured_change(gas_pressure_pa)
         if gas is not None and (beyond := reason_against_gas(gas, behind)):
             return no_estimate(self.mesh, "implausible", beyond), Start()
-        data = FrameData(self.observer.measure(depth_m).at_noise(noise), gas, None, image_errors)
+        known = image_errors or newton.drift_prior
+        data = FrameData(self.observer.measure(depth_m).at_noise(noise), gas, None, known)
         found = self._solve_frame(newton, data, start)
         if start.state is not None and found[0].status in ("not_converged", "implausible"):
             # a warm start far from the solution, as after a jump, may fail where rest does not
@@ -282,12 +285,14 @@ class Estimator:
         """Why a solution is implausible; empty if it is not."""
         doubt = GAS_CONTRADICTS if answer.contradicts_gas else ""
         doubt = doubt or reason_against_gas(answer.step.state.gas, self.bubble.gas, measured=False)
-        return doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m)
+        doubt = doubt or reason_against_fit(answer.misfit, self.observer.white, self.size_m)
+        errors, moved = answer.step.state.image_errors, self._newton.moved_prior
+        return doubt or reason_against_camera(errors, moved)
 
     @property
-    def image_prior(self) -> ImageErrors:
-        """Errors of a depth image of which nothing else is known."""
-        return self._newton.image_prior
+    def image_priors(self) -> tuple[ImageErrors, ImageErrors]:
+        """Errors of a depth image of which nothing else is known, see `GaussNewton`."""
+        return self._newton.drift_prior, self._newton.moved_prior
 
     def fits_rest(self, measured: Measured) -> bool:
         """Whether an image is explained without contact by the noise of the camera."""

@@ -177,7 +177,7 @@ class Iteration:
         self._state, self._view = state if self._warm else newton.rest, start.view
         self._tangent = start.tangent
         scales = start.scales if self._warm else INITIAL_SCALES
-        known, unknown = data.image_errors, newton.image_prior
+        known, unknown = data.image_errors, newton.moved_prior
         image_errors = unknown if known is None or start.image_errors is unknown else known
         self._hyper = Hyperparameters(start.noise, scales, image_errors)
         self._start_noise = start.noise
@@ -411,7 +411,8 @@ class Iteration:
             hyper = step.hyperparameters
             prior = hyper.image_errors.widened(hyper.doubt)
             return ImageErrors(step.state.image_errors, covariance, prior)
-        return self._data.image_errors
+        known = self._data.image_errors
+        return None if known is self._newton.drift_prior else known
 
 
 def is_untouched(newton: GaussNewton, measured: Measured) -> bool:

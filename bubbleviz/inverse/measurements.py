@@ -25,7 +25,7 @@ class FrameData:
     flow : MeasuredFlow or None
         Of the colour image; None: depth alone.
     image_errors : ImageErrors or None
-        As known from frames without contact; None: unknown.
+        As known before; None: of a camera that may have been moved.
     """
 
     ranges: Measured
@@ -215,8 +215,8 @@ class LinearisedFrame:
         Ranges of the blocks in `view` minus those at rest and the expected errors of the image.
     image_errors_m : (k, e) array
         Range errors of those blocks under a unit of each error of the whole image.
-    image_prior : ImageErrors
-        Of these errors.
+    image_prior, moved_prior : ImageErrors
+        Of these errors, as known, and of a camera that may have been moved.
     border : (k, b) array
         Range errors of those blocks under a unit of each error beside missing returns.
     flow : FlowResidual or None
@@ -227,6 +227,7 @@ class LinearisedFrame:
     measured_m: np.ndarray
     image_errors_m: np.ndarray
     image_prior: ImageErrors
+    moved_prior: ImageErrors
     border: np.ndarray
     flow: FlowResidual | None
 
@@ -268,10 +269,13 @@ class LinearisedFrame:
         """Whether the membrane at rest has a smaller misfit than errors (k,)."""
         return self.misfit(error_m) > self.misfit(self.measured_m)
 
-    def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
-        """Errors (k,) minus the fitted errors of the whole image."""
-        explained: np.ndarray = self.image_errors_m @ self._by_image.amplitudes(error_m)
-        return error_m - explained
+    def without_image_errors(self, error_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Errors (k,) minus the fitted errors of the whole image: as known, of a moved camera."""
+        known, moved = (
+            error_m - self.image_errors_m @ fitted.amplitudes(error_m)
+            for fitted in (self._by_image, self._by_moved_image)
+        )
+        return known, moved
 
     def measurements(
         self, noise: Noise, moving: Sequence[tuple[np.ndarray, np.ndarray]]
@@ -295,6 +299,14 @@ class LinearisedFrame:
 
     @cached_property
     def _by_image(self) -> Measurements:
+        return self._fitted_by(self.image_prior)
+
+    @cached_property
+    def _by_moved_image(self) -> Measurements:
+        return self._fitted_by(self.moved_prior)
+
+    def _fitted_by(self, prior: ImageErrors) -> Measurements:
+        """Ranges with errors of the whole image as their only nuisances."""
         ranges = replace(self, border=self.border[:, :0], flow=None)
         alone = ranges.measurements(AS_EXPECTED, [])
-        return alone.with_prior(alone.nuisances.mean, self.image_prior.units, 1.0)
+        return alone.with_prior(alone.nuisances.mean, prior.units, 1.0)

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bubbleviz.camera import Misfit
+from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Misfit
 from bubbleviz.membrane import Gas
 from bubbleviz.result import Status
 
@@ -37,6 +37,11 @@ the membrane. Chosen: correct presses reach 4, a plane across a whole dome 9.5, 
 IMPLAUSIBLE_SHARE = 0.2
 """Misfit relative to the membrane's size beyond which an image shows no membrane, however noisy it
 is. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
+
+IMPLAUSIBLE_SHIFT = 10.0
+"""Sideways motion of the camera since the calibration, in standard deviations of that of a moved
+one, beyond which no force is told. Chosen: 5 mm at 100 mm; in a simulation the force is 0.5 to 1.8
+half widths of its interval off at 4 mm, and 1.6 at 12 mm."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
@@ -69,6 +74,21 @@ def reason_against_gas(change_pa: float, gas: Gas, *, measured: bool = True) -> 
     return (
         f"this image's shape would change the gas pressure by {change}, more than contact can; "
         "check sensor file and unit of depth"
+    )
+
+
+def reason_against_camera(errors: np.ndarray, moved: ImageErrors) -> str:
+    """Why errors (e,) of the whole image are too large for a moved camera; empty if they are not.
+
+    `moved`: prior of the errors of one.
+    """
+    shifts = slice(IMAGE_ERRORS.index("shift to the right"), None)
+    shift_m, sigma_m = float(np.linalg.norm(errors[shifts])), np.sqrt(moved.covariance[-1, -1])
+    if shift_m <= IMPLAUSIBLE_SHIFT * sigma_m:
+        return ""
+    return (
+        f"the camera is {1e3 * shift_m:.0f} mm beside its place in the sensor file, or turned as "
+        "much; check its mounting and the sensor file, or identify the sensor again"
     )
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.camera import IMAGE_ERRORS, PixelModel
+from bubbleviz.camera import IMAGE_ERRORS, DepthCamera, MembraneView, PixelModel
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, depth_image_of, estimator, pressed
@@ -56,6 +56,22 @@ def test_force_of_a_press_with_image_errors(solver, kind, size):
     assert (np.abs(estimate.force_n - truth) < 1.96 * estimate.force_sigma_n).all()
 
 
+@pytest.mark.parametrize("shift_m", [(1e-3, 0.0, 0.0), (0.0, -2e-3, 0.0)])
+def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, shift_m):
+    """Solved as if it were where it was."""
+    T_B_C = CAMERA.T_B_C.copy()
+    T_B_C[:3, 3] += T_B_C[:3, :3] @ shift_m
+    camera, (mesh, contact) = DepthCamera(CAMERA.intrinsics, T_B_C), pressed("cylinder", 0.005, 0.0)
+    noise_m, images = NOISE_M * np.random.default_rng(0).standard_normal(ROWS.shape), []
+    for motion in (np.zeros_like(mesh.nodes), contact.displacement_3d_m):
+        images.append(camera.depth_image(MembraneView(camera, mesh).range_image(motion) + noise_m))
+    assert solver.estimate(images[0])[0].status == "no_contact"
+    estimate, _ = solver.estimate(images[1])
+    error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
+    assert error < estimate.force_half_width_n
+    assert estimate.image_errors.mean[4:] == pytest.approx(shift_m[:2], abs=3e-4)
+
+
 def test_half_an_image_does_not_determine_its_errors(solver):
     """Errors of the hidden half are undetermined."""
     mesh, contact = pressed("sphere", 0.007, 0.0)
@@ -104,7 +120,7 @@ def test_an_image_with_a_region_that_is_not_membrane_is_refused(solver, object_s
     estimate, _ = solver.estimate(np.where(hidden, 0.03, image))
     if object_seen == "hand":
         assert estimate.status == "implausible"
-        assert "foreign object" in estimate.reason
+        assert "object" in estimate.reason
     else:
         error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
         assert estimate.status == "ok"

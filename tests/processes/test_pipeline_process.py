@@ -61,7 +61,7 @@ def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sen
         frames[1],
         gas_pressure_pa=pipeline.model.gas.P0 + 300.0,
         gas_sigma_pa=2_000.0,
-        image_errors=ImageErrors(np.full(4, 1e-4), 1e-10 * np.eye(4)),
+        image_errors=ImageErrors(np.full(6, 1e-4), 1e-10 * np.eye(6)),
     )
     for frame in (zeroed, *frames[1:]):
         a, b = (
