@@ -84,7 +84,7 @@ class Solver:
     def solve(
         self, frame: Frame, contact: ContactPoints, predicted: Motion, *, tracking: bool
     ) -> Solution:
-        """Both stages from a prediction; while `tracking` it is close."""
+        """Both stages from a prediction; while `tracking` it is close, without rivals."""
         iterations = _TRACKING_ITERATIONS if tracking else _FIRST_ITERATIONS
         began = time.perf_counter()
         first = self._registration.stage_one(
@@ -174,11 +174,13 @@ class Solver:
 
         None if no press is found, or if the contact refutes the pose: at an edge of the object the
         press's flat triangles are 0.2 mm off, and derivatives by turns about it as wrong as they
-        are large. So a contact narrower than a triangle is not tried.
+        are large. So a contact narrower than a triangle is not tried; while tracking, nor is one
+        narrower than two rows of them, which may hold no whole one, if it determines a direction.
         """
-        if contact.width_m < self._membrane.mesh.edge_length:
-            return None
         directed, T = directions(fit.surface, contact.radius_m), fit.T_B_O
+        narrowest = np.sqrt(3.0) if tracking and directed.determined.any() else 1.0
+        if contact.width_m < narrowest * self._membrane.mesh.edge_length:
+            return None
         if tracking:  # the depth image, not the blurred patch, determines the other directions
             way = motion_between(predicted.T_B_O, T, contact.center)
             way = np.linalg.solve(directed.motions, way) * directed.determined

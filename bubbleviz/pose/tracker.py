@@ -91,7 +91,8 @@ class PoseTracker:
         predicted = self._predicted(frame, contact)
         solution = rejected = None
         if predicted is not None:
-            tracking = self._tried == 0 and self._motion is not None
+            settled = not (len(self._waiting) or len(self._rivals))
+            tracking = settled and self._tried == 0 and self._motion is not None
             solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
             if not self._plausible(solution, frame, contact):
                 solution, rejected = None, solution
