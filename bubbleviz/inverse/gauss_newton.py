@@ -340,13 +340,14 @@ class GaussNewton:
     ) -> Noise:
         """Noise factors, with the one of the ranges determined by their residual (k,).
 
-        `moved`: the smaller one of those by a camera as known and by a moved one, so that its
-        motion does not pass for noise.
+        `moved`: that of a moved camera if it is smaller, so that motion is not taken for noise.
         """
-        left = observed.without_image_errors(residual_m) if fit_image else (residual_m,)
+        left = [observed.without_image_errors(residual_m) if fit_image else residual_m]
+        if fit_image and moved:
+            left.append(observed.without_image_errors(residual_m, moved=True))
         factor = min(
             self.observer.noise_factor(observed.observation, observed.view.block, each)
-            for each in (left if moved else left[:1])
+            for each in left
         )
         return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
 

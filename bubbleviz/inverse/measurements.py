@@ -269,13 +269,11 @@ class LinearisedFrame:
         """Whether the membrane at rest has a smaller misfit than errors (k,)."""
         return self.misfit(error_m) > self.misfit(self.measured_m)
 
-    def without_image_errors(self, error_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Errors (k,) minus the fitted errors of the whole image: as known, of a moved camera."""
-        known, moved = (
-            error_m - self.image_errors_m @ fitted.amplitudes(error_m)
-            for fitted in (self._by_image, self._by_moved_image)
-        )
-        return known, moved
+    def without_image_errors(self, error_m: np.ndarray, *, moved: bool = False) -> np.ndarray:
+        """Errors (k,) minus the fitted errors of the whole image, or those of a moved camera."""
+        fitted = self._by_moved_image if moved else self._by_image
+        explained: np.ndarray = self.image_errors_m @ fitted.amplitudes(error_m)
+        return error_m - explained
 
     def measurements(
         self, noise: Noise, moving: Sequence[tuple[np.ndarray, np.ndarray]]

@@ -239,7 +239,7 @@ def test_pixels_without_return_may_be_zero(frames, sensor, estimated):
 def test_contacts_are_doubted_if_untouched_frames_contradict_the_sensor_file(
     frames, sensor, estimated
 ):
-    """Half of the images is 20 mm off: what does not fit may then look like contact."""
+    """Images whose left half is 20 mm too far, and whose right half is as much too near."""
     columns = np.arange(frames[0].depth_m.shape[1])
     step_m = np.where(columns < columns.mean(), np.float32(0.02), np.float32(-0.02))
     untouched = [each.status == "no_contact" for each in estimated]
