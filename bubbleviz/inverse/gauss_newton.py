@@ -340,16 +340,20 @@ class GaussNewton:
     ) -> Noise:
         """Noise factors, with the one of the ranges determined by their residual (k,).
 
-        `moved`: that of a moved camera if it is smaller, so that motion is not taken for noise.
+        `moved`: that of a moved camera if it is smaller by more than its uncertainty, so that
+        motion is not taken for noise.
         """
-        left = [observed.without_image_errors(residual_m) if fit_image else residual_m]
-        if fit_image and moved:
-            left.append(observed.without_image_errors(residual_m, moved=True))
-        factor = min(
-            self.observer.noise_factor(observed.observation, observed.view.block, each)
-            for each in left
-        )
-        return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
+
+        def after(moved: bool) -> Noise:
+            left = residual_m
+            if fit_image:
+                left = observed.without_image_errors(left, moved=moved)
+            factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
+            return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
+
+        own = after(False)
+        other = after(True) if fit_image and moved else own
+        return own if are_neighbours(own, other) else min(own, other)
 
     def step(
         self,
