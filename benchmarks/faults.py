@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 import bubbleviz as bv
 from bubbleviz.camera import DepthCamera
@@ -173,6 +173,25 @@ def _focal_length(press: Press, rng: np.random.Generator) -> tuple[float, str, C
     return by, "", _each(change)
 
 
+def _moved(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
+    """The image that a camera moved across its axis would see."""
+    distance, angle = rng.uniform(0.0, 2e-3), rng.uniform(0.0, 2.0 * np.pi)
+    aside = distance * np.array([np.sin(angle), np.cos(angle)])[:, None, None]  # down, right
+    own = press.frames[0].intrinsics or DepthCamera.of(load_sensor(press.sensor).camera).intrinsics
+    focal = np.array([own.fy, own.fx])[:, None, None]
+
+    def seen(depth: np.ndarray, _: int) -> np.ndarray:
+        known = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
+        pixels, there = np.indices(depth.shape), np.full(depth.shape, np.nanmedian(known))
+        for _ in range(8):  # the pixel at which the place of each was before depends on its depth
+            places = pixels + focal * aside / there
+            found = map_coordinates(known, places, order=1, cval=np.nan)
+            there = np.where(np.isfinite(found), found, there)
+        return found
+
+    return distance, "m", _of_depth(seen)
+
+
 def _turned(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
     ways: tuple[tuple[int, int], ...] = ((-1, -1), (-1, 1), (1, -1))
     down, right = ways[rng.integers(len(ways))]
@@ -223,6 +242,7 @@ _KINDS: dict[str, Callable[[Press, np.random.Generator], tuple[float, str, Chang
     "growing offset": _drift,
     "scale": _scale,
     "focal length": _focal_length,
+    "moved camera": _moved,
     "turned or mirrored": _turned,
     "hole": _hole,
     "bad pixels": _bad_pixels,

@@ -27,7 +27,7 @@ def test_a_shift_of_the_gas_pressure_of_a_linear_sensor_is_judged_frame_by_frame
 
 
 def test_frozen_camera_is_reported():
-    study = faults_study(27, seed=0)
+    study = faults_study(30, seed=0)
     frozen = next(case for case in study.cases if case.name.endswith("flat pico: frozen"))
     (found,) = frozen.run()
     assert found.reported == found.frames == 40
