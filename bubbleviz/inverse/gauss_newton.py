@@ -287,9 +287,7 @@ class GaussNewton:
         measured_m = observation.residual_m[view.block] - errors_m @ prior.mean
         flow = None if data.flow is None else FlowResidual.at(state.x, data.flow)
         border = data.ranges.border[view.block]
-        return LinearisedFrame(
-            view, observation, measured_m, errors_m, prior, self.moved_prior, border, flow
-        )
+        return LinearisedFrame(view, observation, measured_m, errors_m, prior, border, flow)
 
     def shows_rest(self, observed: LinearisedFrame, pressure: np.ndarray) -> bool:
         """Whether enough of the image is outside the contact to fit errors of the whole image."""
@@ -336,24 +334,11 @@ class GaussNewton:
         observed: LinearisedFrame,
         noise: Noise,
         fit_image: bool,
-        moved: bool = False,
     ) -> Noise:
-        """Noise factors, with the one of the ranges determined by their residual (k,).
-
-        `moved`: that of a moved camera if it is smaller by more than its uncertainty, so that
-        motion is not taken for noise.
-        """
-
-        def after(moved: bool) -> Noise:
-            left = residual_m
-            if fit_image:
-                left = observed.without_image_errors(left, moved=moved)
-            factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
-            return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
-
-        own = after(False)
-        other = after(True) if fit_image and moved else own
-        return own if are_neighbours(own, other) else min(own, other)
+        """Noise factors, with the one of the ranges determined by their residual (k,)."""
+        left = observed.without_image_errors(residual_m) if fit_image else residual_m
+        factor = self.observer.noise_factor(observed.observation, observed.view.block, left)
+        return noise.with_ranges(factor if contact.pressure.any() else max(factor, 1.0))
 
     def step(
         self,
@@ -556,11 +541,27 @@ class GaussNewton:
             factor = (hyper.noise.ranges / found.noise.ranges) ** 2
             return contact.problem.with_prior(*prior, factor).solve_debiased(selection, touches)
 
+        def evidence(contact: ContactPressure, hyper: Hyperparameters) -> Hyperparameters:
+            return self._evidence(contact, scaled, observed, hyper, fit_image)
+
         if hyper.image_errors is not observed.image_prior:
             known = hyper._replace(image_errors=observed.image_prior)
             contact, hyper = solved(known), known
-        for _ in range(_MAX_SOLUTIONS):
-            found = self._evidence(contact, scaled, observed, hyper, fit_image)
+        for solution in range(1, _MAX_SOLUTIONS + 1):
+            found = evidence(contact, hyper)
+            settled = found.noise == hyper.noise or solution == _MAX_SOLUTIONS
+            if settled and fit_image and hyper.image_errors is not self.moved_prior:
+                moved = hyper._replace(image_errors=self.moved_prior)
+                noise = found.noise
+                if noise.ranges > 1.0:  # a motion of the camera may be a part of it
+                    noise = min(noise, evidence(solved(moved), moved).noise)
+                judged = hyper._replace(noise=noise)
+                judge = contact if judged == hyper else solved(judged)
+                if self._refutes_image_errors(judge, judged):
+                    # an error of the membrane's model is no motion of the camera
+                    drifted = hyper.image_errors is self.drift_prior
+                    prior = self.moved_prior if drifted else self.drift_prior
+                    found = judged._replace(image_errors=prior)
             if found == hyper:
                 break
             again, before = solved(found), hyper
@@ -589,18 +590,17 @@ class GaussNewton:
             else scale
             for (own, sigma), scale in zip(scaled, hyper.scales, strict=True)
         )
-        noise, image_errors = hyper.noise, hyper.image_errors
+        noise = hyper.noise
         if observed.flow is None and (contact.pressure.any() or not contact.pivots):
             error_m = contact.problem.measurements.nuisances.error(contact.amplitudes)
             residual_m = observed.residual_m(contact.motion, error_m)
-            noise = self._noise_of(contact, residual_m, observed, noise, fit_image, moved=True)
-        if fit_image and noise == hyper.noise and image_errors is not self.moved_prior:
-            shift = contact.amplitudes[-len(IMAGE_ERRORS) :] / hyper.doubt
-            if shift @ image_errors.precision @ shift > _IMAGE_CHANGED:
-                # an error of the membrane's model is no motion of the camera
-                drifted = image_errors is self.drift_prior
-                image_errors = self.moved_prior if drifted else self.drift_prior
-        return Hyperparameters(noise, scales, image_errors)
+            noise = self._noise_of(contact, residual_m, observed, noise, fit_image)
+        return hyper._replace(noise=noise, scales=scales)
+
+    def _refutes_image_errors(self, contact: ContactPressure, hyper: Hyperparameters) -> bool:
+        """Whether a contact that was solved with a prior of the errors of the image refutes it."""
+        shift = contact.amplitudes[-len(IMAGE_ERRORS) :] / hyper.doubt
+        return bool(shift @ hyper.image_errors.precision @ shift > _IMAGE_CHANGED)
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
         """Nodes (n,) bool that an image shows neither at the present shape nor at rest.

@@ -215,8 +215,8 @@ class LinearisedFrame:
         Ranges of the blocks in `view` minus those at rest and the expected errors of the image.
     image_errors_m : (k, e) array
         Range errors of those blocks under a unit of each error of the whole image.
-    image_prior, moved_prior : ImageErrors
-        Of these errors, as known, and of a camera that may have been moved.
+    image_prior : ImageErrors
+        Of these errors.
     border : (k, b) array
         Range errors of those blocks under a unit of each error beside missing returns.
     flow : FlowResidual or None
@@ -227,7 +227,6 @@ class LinearisedFrame:
     measured_m: np.ndarray
     image_errors_m: np.ndarray
     image_prior: ImageErrors
-    moved_prior: ImageErrors
     border: np.ndarray
     flow: FlowResidual | None
 
@@ -269,10 +268,9 @@ class LinearisedFrame:
         """Whether the membrane at rest has a smaller misfit than errors (k,)."""
         return self.misfit(error_m) > self.misfit(self.measured_m)
 
-    def without_image_errors(self, error_m: np.ndarray, *, moved: bool = False) -> np.ndarray:
-        """Errors (k,) minus the fitted errors of the whole image, or those of a moved camera."""
-        fitted = self._by_moved_image if moved else self._by_image
-        explained: np.ndarray = self.image_errors_m @ fitted.amplitudes(error_m)
+    def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
+        """Errors (k,) minus the fitted errors of the whole image."""
+        explained: np.ndarray = self.image_errors_m @ self._by_image.amplitudes(error_m)
         return error_m - explained
 
     def measurements(
@@ -297,14 +295,7 @@ class LinearisedFrame:
 
     @cached_property
     def _by_image(self) -> Measurements:
-        return self._fitted_by(self.image_prior)
-
-    @cached_property
-    def _by_moved_image(self) -> Measurements:
-        return self._fitted_by(self.moved_prior)
-
-    def _fitted_by(self, prior: ImageErrors) -> Measurements:
         """Ranges with errors of the whole image as their only nuisances."""
         ranges = replace(self, border=self.border[:, :0], flow=None)
         alone = ranges.measurements(AS_EXPECTED, [])
-        return alone.with_prior(alone.nuisances.mean, prior.units, 1.0)
+        return alone.with_prior(alone.nuisances.mean, self.image_prior.units, 1.0)

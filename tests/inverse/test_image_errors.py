@@ -56,13 +56,24 @@ def test_force_of_a_press_with_image_errors(solver, kind, size):
     assert (np.abs(estimate.force_n - truth) < 1.96 * estimate.force_sigma_n).all()
 
 
-@pytest.mark.parametrize("shift_m", [(1e-3, 0.0, 0.0), (0.0, -2e-3, 0.0)])
-def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, shift_m):
+@pytest.mark.parametrize(
+    ("press", "shift_m", "seed"),
+    [
+        (("cylinder", 0.005, 0.0), (1e-3, 0.0, 0.0), 0),
+        (("cylinder", 0.005, 0.0), (0.0, -2e-3, 0.0), 0),
+        (
+            ("sphere", 0.007, 0.008),
+            (0.0, -1e-3, 0.0),
+            1,
+        ),  # friction and noise fit it, too
+    ],
+)
+def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, press, shift_m, seed):
     """Solved as if it were where it was."""
     T_B_C = CAMERA.T_B_C.copy()
     T_B_C[:3, 3] += T_B_C[:3, :3] @ shift_m
-    camera, (mesh, contact) = DepthCamera(CAMERA.intrinsics, T_B_C), pressed("cylinder", 0.005, 0.0)
-    noise_m, images = NOISE_M * np.random.default_rng(0).standard_normal(ROWS.shape), []
+    camera, (mesh, contact) = DepthCamera(CAMERA.intrinsics, T_B_C), pressed(*press)
+    noise_m, images = NOISE_M * np.random.default_rng(seed).standard_normal(ROWS.shape), []
     for motion in (np.zeros_like(mesh.nodes), contact.displacement_3d_m):
         images.append(camera.depth_image(MembraneView(camera, mesh).range_image(motion) + noise_m))
     assert solver.estimate(images[0])[0].status == "no_contact"
