@@ -18,6 +18,7 @@ from .image_change import ImageChange as ImageChange
 from .image_errors import (
     IMAGE_ERRORS as IMAGE_ERRORS,
     ImageErrors as ImageErrors,
+    range_errors as range_errors,
 )
 from .intrinsics import (
     DepthCamera as DepthCamera,

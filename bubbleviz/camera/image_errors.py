@@ -19,6 +19,20 @@ IMAGE_ERRORS = (
 share of the depth; and motion of the camera across its optical axis, in m."""
 
 
+def range_errors(
+    T_B_C: np.ndarray, rays: np.ndarray, range_m: np.ndarray, normals: np.ndarray
+) -> np.ndarray:
+    """Errors (r, e) of the ranges (r,) of unit rays (r, 3) under a unit of each of `IMAGE_ERRORS`.
+
+    Normals (r, 3) are those of the surface, of any length.
+    """
+    right, down, forward = T_B_C[:3, :3].T @ rays.T
+    tilts = right / forward**2, down / forward**2
+    along = np.einsum("ri,ri->r", normals, rays)
+    shifts = -normals @ T_B_C[:3, :2] / along[:, None]
+    return np.column_stack([1.0 / forward, *tilts, range_m, shifts])
+
+
 @dataclass(frozen=True, eq=False)
 class ImageErrors:
     """Normal distribution of the amplitudes of `IMAGE_ERRORS`.

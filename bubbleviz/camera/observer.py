@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage, sparse
 
+from bubbleviz.camera.image_errors import IMAGE_ERRORS, range_errors
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel, UsedPixels
 from bubbleviz.camera.raycast import Hits, RayCaster, sparse_rows, vector_columns
@@ -327,15 +328,11 @@ class RangeObserver:
         self._at_rest[at_rest.ray] = at_rest.triangle
         # (B, e), errors of the block ranges under a unit of each of `IMAGE_ERRORS`, 0 for blocks
         # that do not see the membrane at rest
-        right, down, forward = camera.T_B_C[:3, :3].T @ rays.T
-        tilts = right / forward**2, down / forward**2
         corners = mesh.normals[mesh.triangles[at_rest.triangle]]
         normals = np.einsum("rk,rki->ri", at_rest.barycentric, corners)
-        along = np.einsum("ri,ri->r", normals, rays[at_rest.ray])
-        shifts = np.zeros((self.blocks, 2))
-        shifts[at_rest.ray] = -normals @ camera.T_B_C[:3, :2] / along[:, None]
-        self.image_errors = np.column_stack([1.0 / forward, *tilts, self._rest_range, shifts])
-        self.image_errors[np.isnan(self._rest_range)] = 0.0
+        seen = camera.T_B_C, rays[at_rest.ray], at_rest.range_m, normals
+        self.image_errors = np.zeros((self.blocks, len(IMAGE_ERRORS)))
+        self.image_errors[at_rest.ray] = range_errors(*seen)
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)

@@ -10,7 +10,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.camera import MAD, RangeObserver, RayCaster, sparse_rows, vector_columns
+from bubbleviz.camera import (
+    MAD,
+    RangeObserver,
+    RayCaster,
+    range_errors,
+    sparse_rows,
+    vector_columns,
+)
 from bubbleviz.pose.motion import SEARCH_INFORMATION, about, motion_between, turning, way_at
 from bubbleviz.pose.pressed_membrane import ROUNDING_M, Press, PressedMembrane
 from bubbleviz.pose.registration import MODEL_ERROR_M, ContactPoints, Directions
@@ -41,6 +48,7 @@ class PredictedImage:
     jacobian: np.ndarray  # (b, 6), their derivatives by small motions in B about the press's centre
     on_face: np.ndarray  # (b,) bool, groups on membrane that lies on a face
     rounding: np.ndarray  # (b,), derivatives of their residuals by the radius of the object's edges
+    by_image: np.ndarray  # (b, e), under a unit of each of `IMAGE_ERRORS`
     square: np.ndarray  # (b,) int, their square of the image, as wide as an edge of the mesh
     triangles: int  # of the membrane in these pixels
     press: Press
@@ -126,19 +134,17 @@ class ImageFit:
         count = np.isfinite(change).sum(axis=1)
         residual = np.nansum(change, axis=1) / np.maximum(count, 1) - predicted.at(T_B_O)
         valid = count > 0
+        residual -= predicted.by_image @ contact.image_errors
         residual = residual[valid]
         J = predicted.slopes_at(T_B_O, contact.center)[valid]
-        off = J @ directions.motions[:, directions.determined]
-        off[predicted.on_face[valid]] = 0.0
-        off = np.column_stack([off, predicted.rounding[valid]])
-        J = np.hstack([J, off])
+        around = _MODEL_DEVIATION_M * J @ directions.motions[:, directions.determined]
+        around[predicted.on_face[valid]] = 0.0
+        rounding = ROUNDING_M * predicted.rounding[valid]
+        J = np.column_stack([J, around, rounding])
         weight = _weights(residual, count[valid])
         H, g = (J.T * weight) @ J, J.T @ (weight * residual)
         # Schur complement: eliminates the model error of the membrane around the contact.
-        known_off = np.full(off.shape[1], _MODEL_DEVIATION_M)
-        known_off[-1] = ROUNDING_M
-        rest = H[6:, 6:] + np.diag(1.0 / known_off**2)
-        gain = np.linalg.solve(rest, H[6:, :6]).T
+        gain = np.linalg.solve(H[6:, 6:] + np.eye(len(H) - 6), H[6:, :6]).T
         information, g = H[:6, :6] - gain @ H[6:, :6], g[:6] - gain @ g[6:]
         # Model errors are the same from frame to frame: motions of the surrounding membrane, as far
         # as the image does not show them, and entirely in directions that only the image
@@ -146,12 +152,12 @@ class ImageFit:
         # leaves the object's edges, independent between squares as wide as a triangle.
         pulling = J[:, :6] - J[:, 6:] @ gain.T
         pulls = pulling.T * weight
-        each, square = pulls * predicted.rounding[valid], predicted.square[valid]
-        by_radius = ROUNDING_M * np.stack([np.bincount(square, pull) for pull in each])
+        each, square = pulls * rounding, predicted.square[valid]
+        by_radius = np.stack([np.bincount(square, pull) for pull in each])
         by_motion = information @ directions.motions[:, ~directions.determined]
         pulled = MODEL_ERROR_M**2 / predicted.triangles * weight.sum() * pulls @ pulling
         pulled += by_radius @ by_radius.T + _MODEL_DEVIATION_M**2 * by_motion @ by_motion.T
-        pulled += gain @ (gain / known_off**2).T
+        pulled += gain @ gain.T
         covariance = np.linalg.inv(information + SEARCH_INFORMATION)
         return ImageStep(information, g, covariance @ pulled @ covariance)
 
@@ -193,11 +199,13 @@ class ImageFit:
         pixel = close[: len(close) // each * each].reshape(-1, each)
         rays = self._directions[pixel].sum(axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        caster = RayCaster(self._observer.camera.center, rays, mesh.triangles)
+        camera = self._observer.camera
+        caster = RayCaster(camera.center, rays, mesh.triangles)
         nodes = press.released
         hits = caster.cast(nodes)
         pixel = pixel[hits.ray]
-        values = hits.barycentric[:, :, None] * caster.slopes(nodes, hits)[:, None]
+        by_motion = caster.slopes(nodes, hits)
+        values = hits.barycentric[:, :, None] * by_motion[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
         J = sparse_rows(values.reshape(-1, 9), columns, slopes.shape[1]) @ slopes.T
@@ -209,6 +217,7 @@ class ImageFit:
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
+            by_image=range_errors(camera.T_B_C, rays[hits.ray], hits.range_m, by_motion),
             square=np.ravel_multi_index(square.T, square.max(axis=0, initial=0) + 1),
             triangles=len(np.unique(hits.triangle)),
             press=press,

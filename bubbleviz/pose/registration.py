@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bubbleviz.camera import IMAGE_ERRORS
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
 from bubbleviz.pose.motion import Motion, motion_between, moved, rows, way_at
 from bubbleviz.result import Estimate, Patch, Stage
@@ -46,6 +47,8 @@ class ContactPoints:
     radius_m: float  # their root mean square distance from it
     rest_center: np.ndarray  # (3,), where that part of the membrane was at rest, on average
     membrane: np.ndarray  # (n, 3), all nodes of the membrane, as estimated
+    # (e,), estimated amplitudes of `IMAGE_ERRORS`; their σ is negligible beside model errors
+    image_errors: np.ndarray
 
     @property
     def extent_m(self) -> float:
@@ -63,6 +66,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     """Contact points of an estimate, on its finest mesh; None if there are too few for a pose."""
     friction = np.zeros_like(mesh.nodes) if estimate.friction_n is None else estimate.friction_n
     friction, membrane = friction / mesh.areas[:, None], mesh.deformed(estimate.motion_m)
+    known = estimate.image_errors
     mesh, estimate, of_node = patch.finest(mesh, estimate)
     nodes = mesh.deformed(estimate.motion_m)
     inside = of_node > 0.0
@@ -102,6 +106,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         radius_m=float(np.sqrt(spread)),
         rest_center=share[on] @ at_rest[on] / share[on].sum(),
         membrane=membrane,
+        image_errors=np.zeros(len(IMAGE_ERRORS)) if known is None else known.mean,
     )
 
 
