@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.averaging import StillFrames
-from bubbleviz.camera import ImageErrors
+from bubbleviz.camera import IMAGE_ERRORS, ImageErrors
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
@@ -53,6 +53,36 @@ def _image_errors(result: Result) -> ImageErrors | None:
     """Errors of an image as estimated from it; None if they were not."""
     found = None if result.estimate is None else result.estimate.image_errors
     return None if found is None or found.prior is None else found
+
+
+def drift_warning(errors: np.ndarray, pipeline: Pipeline, *, gas_measured: bool) -> str:
+    """Warning if errors of the depth image (e,) exceed three standard deviations; else empty."""
+    estimator = pipeline.estimator
+    units = estimator.observer.image_errors.mean(axis=0)
+    by_offset, by_scale = (units[IMAGE_ERRORS.index(name)] for name in ("offset", "scale"))
+    limit = 3.0 * estimator.options.image_error
+    drift_m, limit_m = float(units @ errors / by_offset), limit * by_scale / by_offset
+    by_name = dict(zip(IMAGE_ERRORS, np.abs(errors), strict=True))
+    of_depth = by_name["offset"] > limit_m or by_name["scale"] > limit
+    shift_m = np.hypot(by_name["shift to the right"], by_name["shift downwards"])
+    if shift_m > limit_m and not of_depth:
+        return (
+            f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm since the calibration, "
+            "or turned, which looks the same; forces are corrected for it, beyond 1 mm only "
+            "roughly. Check its mounting, and identify the sensor again"
+        )
+    if abs(drift_m) <= limit_m:
+        return ""
+    cause, remedy = "", "Let the camera warm up, or identify the sensor again"
+    if not gas_measured:
+        cause = ", or the bubble is inflated to another pressure, which was not recorded"
+        remedy = (
+            "Inflate it as in the sensor file, record the gas pressure, or let the camera warm up"
+        )
+    return (
+        f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
+        f"are corrected for drift. {remedy}"
+    )
 
 
 class ImageZero:

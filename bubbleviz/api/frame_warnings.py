@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bubbleviz.camera import IMAGE_ERRORS, UPPER_95
+from bubbleviz.camera import UPPER_95
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, gas_warning
 from bubbleviz.result import Result
 from bubbleviz.wording import count_of
-from bubbleviz.zeros import Zeros, camera_moved
+from bubbleviz.zeros import Zeros, camera_moved, drift_warning
 
 NO_FRAME_FITS = (
     "no frame looks like the membrane of this sensor; choose the sensor file of this camera, and "
@@ -129,33 +129,8 @@ class FrameWarnings:
                 f"contact-free ones: {cause}shape or rubber of the membrane differ from the sensor "
                 f"file; forces in these frames are less certain. {remedy[0].upper()}{remedy[1:]}"
             )
-        estimator = self._pipeline.estimator
-        units = estimator.observer.image_errors.mean(axis=0)
-        by_offset, by_scale = (units[IMAGE_ERRORS.index(name)] for name in ("offset", "scale"))
-        errors, limit = np.median(self._image_errors, axis=0), 3.0 * estimator.options.image_error
-        drift_m, limit_m = float(units @ errors / by_offset), limit * by_scale / by_offset
-        by_name = dict(zip(IMAGE_ERRORS, np.abs(errors), strict=True))
-        of_depth = by_name["offset"] > limit_m or by_name["scale"] > limit
-        shift_m = np.hypot(by_name["shift to the right"], by_name["shift downwards"])
-        if shift_m > limit_m and not of_depth:
-            return (
-                f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm since the "
-                "calibration, or turned as much; forces are corrected for it, beyond 1 mm only "
-                "roughly. Check its mounting, and identify the sensor again"
-            )
-        if abs(drift_m) <= limit_m:
-            return ""
-        cause, remedy = "", "Let the camera warm up, or identify the sensor again"
-        if self._measured_pa is None:
-            cause = ", or the bubble is inflated to another pressure, which was not recorded"
-            remedy = (
-                "Inflate it as in the sensor file, record the gas pressure, or let the camera warm "
-                "up"
-            )
-        return (
-            f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
-            f"are corrected for drift. {remedy}"
-        )
+        errors, measured = np.median(self._image_errors, axis=0), self._measured_pa is not None
+        return drift_warning(errors, self._pipeline, gas_measured=measured)
 
     def _sensor_warning(self, where: str) -> str:
         """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""

@@ -166,8 +166,9 @@ def test_mean_image_gas_zero_and_contradicted_sensor_file_of_a_recording_are_rep
     depth = (still.depth_m + 1e-3).astype(np.float32)
     frames = (replace(still, index=k, time_s=k / 30.0, depth_m=depth) for k in range(FRAMES))
     record(tmp_path / "rest.mcap", frames)
-    driver.open("rest", lambda _: Recording(tmp_path / "rest.mcap"), sensor, playing=False)
+    driver.open("rest", lambda _: Recording(tmp_path / "rest.mcap"), sensor, playing=True)
     driver.wait_for_message("does not fit the depth without contact")
+    assert driver.state.playing
 
 
 def test_untrusted_numbers_are_dashes_with_reason_and_colour(drive):

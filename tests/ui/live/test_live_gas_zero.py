@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from fakes import FRAMES, DentSource, record, small_sensor
 from live_bench import connected_bench, sensor_file
 from PySide6.QtCore import Qt
@@ -55,12 +56,18 @@ def test_gas_zero_is_renewed_on_request_and_compared_with_another_sensor_file(op
         ) == warned
 
 
-def test_one_warning_each_of_a_gas_pressure_and_of_images_that_never_change(open_bench):
+def test_one_warning_each_of_gas_pressure_and_images_that_never_change_and_of_drift(open_bench):
     live = open_bench()
     dent = DentSource(small_sensor())
     shown = [dent[0]] * 2 * ZERO_FRAMES + [dent[FRAMES - 1]] * 2 * ZERO_FRAMES
     frames = (
-        replace(frame, index=k, time_s=k / 30.0, gas_pressure_pa=104_000.0)
+        replace(
+            frame,
+            index=k,
+            time_s=k / 30.0,
+            gas_pressure_pa=104_000.0,
+            depth_m=(frame.depth_m + 1e-3).astype(np.float32),
+        )
         for k, frame in enumerate(shown)
     )
     path = record(live.folder / "frozen.mcap", frames)
@@ -71,7 +78,11 @@ def test_one_warning_each_of_a_gas_pressure_and_of_images_that_never_change(open
     def warnings(words):
         return sum(words in message.text for message in live.window.messages.all)
 
-    gas, images = "gas pressure in the source never changes", "repeats one image"
-    live.wait(lambda: warnings(gas) and warnings(images))
+    expected = (
+        "gas pressure in the source never changes",
+        "repeats one image",
+        "does not fit the depth without contact",
+    )
+    live.wait(lambda: all(map(warnings, expected)))
     live.wait_for_frames(2 * ZERO_FRAMES)  # the row of equal images grows
-    assert (warnings(gas), warnings(images)) == (1, 1)
+    assert [*map(warnings, expected)] == [1, 1, 1]

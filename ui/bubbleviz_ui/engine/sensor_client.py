@@ -269,7 +269,7 @@ class SensorClient(QObject):
         numbers = replace(numbers, latency_ms=1e3 * (now - requested_s))
         self._remember(index, numbers, solved.demand)
         self._show(solved)
-        self.solved.emit(solved, False)
+        self._announce(solved)
 
     def _take_newest(self, solved: Solved | None, *, at_once: bool, imaged: bool) -> None:
         self._awaiting = False
@@ -288,9 +288,12 @@ class SensorClient(QObject):
         self._remember(frame.index, numbers, solved.demand)
         if not self._state.frozen:
             self._show(solved)
-        self.solved.emit(solved, True)
+        self._announce(solved, newest=True)
+
+    def _announce(self, solved: Solved, *, newest: bool = False) -> None:
+        self.solved.emit(solved, newest)
         if solved.remark:
-            self.failed.emit(Failed("newest", solved.remark))
+            self.failed.emit(Failed("remark", solved.remark, warning=True))
 
     def _show(self, solved: Solved) -> None:
         self.result = solved.result
@@ -316,9 +319,7 @@ class SensorClient(QObject):
             self._shown_demand = replace(self._shown_demand, options=requested.options)
             self.inspection = _inspection(new)
             self._cold_solved = self._imaged_frame = shown.frame
-        self.solved.emit(solved, False)
-        if solved.remark:
-            self.failed.emit(Failed("cold_solve", solved.remark, warning=True))
+        self._announce(solved)
 
     def _take_patch(self, demand: Demand, answer: tuple[Result, Numbers]) -> None:
         result, (patched, numbers) = self.result, answer

@@ -33,8 +33,9 @@ from bubbleviz.recordings import (
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
+from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import truth_of
-from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
+from bubbleviz.zeros import ImageZero, PressureZero, Zeros, drift_warning, wrench_bias, zeros_of
 from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.shear_reference import ShearReference
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
@@ -166,6 +167,10 @@ LIVE_TIMEOUT_S, POLL_S = 0.05, 0.005
 request is checked for meanwhile."""
 ANALYSIS_SLICE_S = 0.03
 """How long the analysis of all frames may delay a requested frame."""
+UNCALIBRATED = (
+    "the sensor file has no calibrated pixels, and does not fit the depth without contact; "
+    "identify the sensor in the Calibration panel"
+)
 REPORTED_ZERO_PA = 50.0
 """Smallest reported gas pressure offset of a recording: 1 % of a typical gauge pressure."""
 PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
@@ -306,11 +311,7 @@ class Solver:
         frame = current.frame(index)
         if new_reference:
             current.shear.reset()
-        solved = self._solved(current, demand, frame, cold=cold)
-        if cold and self._checked is not current:  # here, as it would delay opening
-            self._checked = current
-            return replace(solved, remark=_sensor_file_remark(current))
-        return solved
+        return self._solved(current, demand, frame, cold=cold)
 
     def newest(
         self, demand: Demand, cancelled: Callable[[], bool], *, needs_colour: bool = False
@@ -334,8 +335,9 @@ class Solver:
         solved = self._solved(current, demand, frame, solver_process=process)
         stream.publish(solved.result, current.pipeline)
         lost = "" if process is None else process.lost
-        remark = "" if lost == lost_before else _process_ended_remark(current, lost)
-        return replace(solved, outages=stream.outages, remark=remark)
+        if lost != lost_before:
+            solved = replace(solved, remark=_process_ended_remark(current, lost))
+        return replace(solved, outages=stream.outages)
 
     def set_object(
         self, object_name: str | None, unit: Literal["m", "mm"] | None, start: np.ndarray | None
@@ -422,7 +424,25 @@ class Solver:
         numbers, done_s = current.numbers(result, cold=cold), time.perf_counter()
         known = current.estimates.final(frame.index)
         final = known is not None and known is result.estimate
-        return Solved(demand, result, numbers, done_s, final)
+        remark = self._misfit_remark(current, result.frame, cold=cold)
+        return Solved(demand, result, numbers, done_s, final, remark=remark)
+
+    def _misfit_remark(self, current: OpenSource, frame: Frame, *, cold: bool) -> str:
+        """Warning, once per source, if images without contact contradict the sensor file."""
+        remark, errors, recording = "", frame.image_errors, current.recording
+        if self._checked is current:
+            return ""
+        if errors is not None:  # known from images without contact
+            measured = frame.gas_pressure_pa is not None
+            remark = drift_warning(errors.mean, current.pipeline, gas_measured=measured)
+            if remark and current.pipeline.model.pixels is None:
+                remark = UNCALIBRATED
+        if not remark and cold and recording is not None:  # not while playing, as it takes seconds
+            self._checked = current
+            return _sensor_file_remark(recording, current.pipeline.model)
+        if remark:
+            self._checked = current
+        return remark
 
     def open(self, request: OpenRequest) -> Opened:
         """Open a source in place of the current one.
@@ -571,11 +591,8 @@ def _zero_remark(zero: PressureZero | None) -> str:
     return zero.words
 
 
-def _sensor_file_remark(current: OpenSource) -> str:
+def _sensor_file_remark(source: Recording, model: SensorModel) -> str:
     """Warning if the first contact-free frames of a recording contradict the sensor file."""
-    source, model = current.recording, current.pipeline.model
-    if source is None:
-        return ""
     # not at start
     from bubbleviz.calibration import check_sensor
     from bubbleviz.recordings import find_contact_free
@@ -588,9 +605,6 @@ def _sensor_file_remark(current: OpenSource) -> str:
     except InputError:
         return ""
     if found.verdict == "drifted" and model.pixels is None:
-        return (
-            "the sensor file has no calibrated pixels, and does not fit the depth without contact; "
-            "identify the sensor in the Calibration panel"
-        )
+        return UNCALIBRATED
     contradicts = "frames without contact contradict the sensor file"
     return "" if found.verdict == "fits" else f"{contradicts}; {found.reason}"

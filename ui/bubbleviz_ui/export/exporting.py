@@ -308,7 +308,7 @@ class Exporting(QObject):
 
     def _on_failed(self, failed: Failed) -> None:
         """Cancel a video if a frame cannot be shown; the window shows the error."""
-        if self._video is not None and failed.key in {"frame", "cold_solve"} and not failed.warning:
+        if self._video is not None and failed.key in {"frame", "cold_solve"}:
             self.cancel()
 
     def _on_opened(self, _: object) -> None:
