@@ -270,10 +270,16 @@ def test_height_of_plots_statistics_of_a_range_and_values_at_cursor_and_mouse(dr
     def height():
         return shown.visibleRegion().boundingRect().height()
 
+    def share(name):
+        return panel.plots[name].item.rect().height() / height()
+
     driver.wait(lambda: height() > 200)
     full = height()
+    driver.resize(1024, 700)  # two columns: the first of three plots is higher
+    driver.wait(lambda: share("force") > 0.9 and share("area") < 0.5)
     driver.resize(1024, 500)
     assert 100 < height() < full
+    driver.wait(lambda: share("force") < 0.9)  # else it would be scrolled to see its axis
     driver.resize(1280, 900)
     driver.wait(lambda: height() == full)
     driver.state.set_range((2, 8))

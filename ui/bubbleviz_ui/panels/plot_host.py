@@ -41,7 +41,7 @@ class PlotHost(QWidget):
         super().__init__()
         self._make, self._spacing = make, spacing
         self._parts: list[Part] = []
-        self._arranged: tuple[list[Any], int] | None = None
+        self._arranged: tuple[list[Any], int, bool] | None = None
         self.canvas: Any = None
         self._column = QVBoxLayout(self)
         self._column.setContentsMargins(0, 0, 0, 0)
@@ -69,14 +69,20 @@ class PlotHost(QWidget):
         self._parts.append(part)
         part.paint(*self._text_colours())
 
-    def arrange(self, items: list[Any], columns: int = 1) -> bool:
-        """Arrange the items in a grid, replacing all others; returns whether they were not yet."""
-        if self._arranged == (items, columns):
+    def arrange(self, items: list[Any], columns: int = 1, *, filled: bool = False) -> bool:
+        """Arrange the items in a grid, replacing all others; returns whether they were not yet.
+
+        `filled`: The first item is so much higher that no place is empty.
+        """
+        if self._arranged == (items, columns, filled):
             return False
-        self._arranged = items, columns
+        self._arranged = items, columns, filled
         self.canvas.ci.clear()
-        for k, item in enumerate(items):
-            self.canvas.ci.addItem(item, k // columns, k % columns)
+        higher = -len(items) % columns if filled else 0
+        cells = [divmod(k, columns) for k in range(len(items) + higher)]
+        free = [(row, column) for row, column in cells if column or not 0 < row <= higher]
+        for item, cell in zip(items, free, strict=True):
+            self.canvas.ci.addItem(item, *cell, rowspan=1 if any(cell) else 1 + higher)
         return True
 
     def showEvent(self, event: QShowEvent) -> None:

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
-"""Smallest width and height of a plot, screen pixels."""
+"""Smallest width of a plot and its height if there is room, screen pixels."""
 DRAWN = PATCH_SETTINGS | UNIT_CHOICES.keys() | {"plots"}
 """Settings whose change redraws the curves."""
 
@@ -169,15 +169,17 @@ class PlotsPanel(QWidget):
         return plot
 
     def _arrange(self) -> None:
-        """Arrange the chosen plots in a grid."""
+        """Arrange the chosen plots in a grid, without an empty place unless it is scrolled."""
         if self._host.canvas is None:
             return
         shown = self._shown()
         columns = min(max(self.width() // CELL[0], 1), max(len(shown), 1))
         columns = -(-len(shown) // -(-len(shown) // columns)) if shown else 1
-        if not self._host.arrange([plot.item for plot in shown], columns):
+        height = round(0.9 * CELL[1]) * -(-len(shown) // columns)  # a window may be a bit too low
+        fits = self.height() - self.sizeHint().height() >= height - 2 * CELL[1]
+        if not self._host.arrange([plot.item for plot in shown], columns, filled=fits):
             return
-        self._host.canvas.setMinimumHeight(CELL[1] * -(-len(shown) // columns))
+        self._host.canvas.setMinimumHeight(height)
         timed = [plot for plot in shown if isinstance(plot, TimePlot)]
         for plot in timed[1:]:
             plot.box.setXLink(timed[0].box)
