@@ -54,13 +54,10 @@ _CAUSES = {
 """Unit of each cause: those of `IMAGE_ERRORS`, and the gas pressure."""
 _SHOWN = {"m": ("mm", 1e3), "1": ("%", 1e2)}  # in the text
 _GAS = len(IMAGE_ERRORS)  # place of the gas pressure among the causes
-_REMEDY = {
-    True: "inflate the sensor to the gauge pressure in its file, or identify it again",
-    False: "let the camera warm up and check its mounting, then identify the sensor again, "
-    "untouched",
-}
-
-_RESHAPED = "check the camera's mounting, then identify the sensor again, untouched"
+_AGAIN = "mounting, then identify the sensor again, untouched"
+_RESHAPED = f"check the camera's {_AGAIN}"
+_WARM_UP = f"let the camera warm up and check its {_AGAIN}"
+_INFLATE = "inflate the sensor to the gauge pressure in its file, or identify it again"
 
 _STEP = 0.01  # of the gauge pressure, for the first secant of its pattern
 _SECANTS, _MAX_STEP = 4, 0.5  # iterations, and the largest step over the gauge pressure
@@ -86,8 +83,7 @@ class CheckRow:
             "" if number is None else rounded(factor * number, digits)
             for number in (self.value, self.half_width, self.limit)
         )
-        shown = f"{value} {unit}" if value else "needs λ"
-        cells = shown, half and f"± {half}", limit and f"± {limit}"
+        cells = value or "needs λ", half and f"± {half}", unit, limit and f"± {limit}"
         return self.quantity, *cells, self.todo
 
 
@@ -110,8 +106,11 @@ class SensorCheck:
 
     def to_text(self) -> str:
         """The verdict, and the table below it."""
-        header = "quantity", "value", "95 %", "limit", "what to do"
-        return f"{self.reason}\n\n{table(header, [row.texts() for row in self.rows])}"
+        texts = [row.texts() for row in self.rows]
+        width = max((len(row.todo) for row in self.rows), default=0)
+        header = "quantity", "value", "95 %", "unit", "limit", "what to do".ljust(width)
+        aligned = [(*cells, todo.ljust(width)) for *cells, todo in texts]
+        return f"{self.reason}\n\n{table(header, aligned)}"
 
 
 def check_sensor(
@@ -164,7 +163,7 @@ def check_sensor(
         return replace(found, verdict="another", reason=reason)
     causes = [row for row in rows if row.todo]
     largest = max(causes, key=lambda row: abs(row.value or 0.0) / (row.limit or 1.0), default=None)
-    names = ", ".join(" ".join(row.texts()[:3]).strip() for row in causes)
+    names = ", ".join(" ".join(filter(None, row.texts()[:4])) for row in causes)
     press, error = _force_error(pipeline, rest) if not quick else (None, None)
     force = "" if error is None else f", which changes a force of {press:.2g} N by {error:.2g} N"
     reason = (
@@ -390,8 +389,9 @@ class _RestComparison:
         rows, together = [], self.causes if len(self.causes) < 2 else range(len(_CAUSES))
         for k, (name, unit) in enumerate(_CAUSES.items()):
             size, half = self._size(k, together)
-            remedy = _REMEDY[k == _GAS] if k in self.causes and not self.shape.todo else ""
-            rows.append(CheckRow(name, unit, size, half, self._limit(k), remedy))
+            remedy = _INFLATE if k == _GAS else _RESHAPED if "shift" in name else _WARM_UP
+            found = k in self.causes and not self.shape.todo
+            rows.append(CheckRow(name, unit, size, half, self._limit(k), remedy if found else ""))
         if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown
             rows[_GAS] = replace(rows[_GAS], value=None, half_width=None, limit=None)
         return [*rows, self.shape]
@@ -411,11 +411,16 @@ class _RestComparison:
 def _another_camera(model: SensorModel, row: CheckRow) -> str:
     in_file, recorded = DepthCamera.of(model.sensor.camera).intrinsics, model.camera.intrinsics
     new, old = (
-        f"fx {each.fx:.1f}, fy {each.fy:.1f}, cx {each.cx:.1f}, cy {each.cy:.1f}"
+        f"fx {each.fx:.1f}, fy {each.fy:.1f}, cx {each.cx:.1f}, cy {each.cy:.1f} pixels"
         for each in (recorded, in_file)
     )
+    if new == old:
+        new, old = (
+            " ".join(["distortion", each.distortion_model, *(f"{k:.3g}" for k in each.distortion)])
+            for each in (recorded, in_file)
+        )
     return (
-        f"another camera: its intrinsics ({new} pixels) change the ranges by "
+        f"another camera: its intrinsics ({new}) change the ranges by "
         f"{1e3 * model.camera_change_m:.2g} mm rms from those of the sensor file ({old}): "
         f"{row.todo}, or identify the sensor again"
     )

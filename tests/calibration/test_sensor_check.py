@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -198,6 +199,17 @@ def test_a_measured_gas_pressure_excludes_inflation(dome):
     assert not gas.todo and abs(gas.value) < gas.half_width < 130.0
 
 
+def test_a_camera_displaced_across_its_axis(dome):
+    sensor, frames = dome
+    x, y, z = sensor.camera.position_m
+    source = frames("rest", 12)
+    moved = changed(sensor, camera={"position_m": (x - 1e-3, y, z)})
+    found = bv.check([source[k] for k in range(10)], moved)
+    assert size_of(found, "camera shift to the right") == pytest.approx(1e-3, abs=1e-4)
+    told = r"camera shift to the right (0\.9|1\.0)\d* ± 0\.\d+ mm.*: check the camera's mounting"
+    assert re.search(told, found.reason)
+
+
 def test_a_tilt_of_depth(dome):
     sensor, frames = dome
     source = frames("rest", 12)
@@ -227,6 +239,10 @@ def test_another_camera_is_detected(sensor, rest):
     wider = [replace(f, intrinsics=replace(f.intrinsics, fx=1.02 * f.intrinsics.fx)) for f in rest]
     found = bv.check(wider, sensor)
     assert found.verdict == "another" and "fx 109.5" in found.reason and "107.4" in found.reason
+    bent = {"distortion_model": "plumb_bob", "distortion": (0.05, 0.0, 0.0, 0.0, 0.0)}
+    bent = [replace(f, intrinsics=replace(f.intrinsics, **bent)) for f in rest]
+    reason = bv.check(bent, sensor).reason
+    assert "(distortion plumb_bob 0.05 0 0 0 0)" in reason and "(distortion none)" in reason
     try:  # some of the frames just do, or none
         told = bv.estimate(wider[:3], sensor).warning
     except InputError as error:
