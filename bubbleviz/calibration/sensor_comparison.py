@@ -69,6 +69,7 @@ class SensorComparison:
         rows = tuple(
             ComparisonRow(name, kind, value, after[name, kind], half.get(name), old_half.get(name))
             for (name, kind), value in before.items()
+            if value is not None or after[name, kind] is not None
         )
         return cls(rows, np.subtract(*(_expected(model)[1] for model in reversed(models))))
 

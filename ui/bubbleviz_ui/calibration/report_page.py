@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,10 @@ from bubbleviz_ui.shell.table import Table
 if TYPE_CHECKING:
     from bubbleviz.calibration import QuantityKind, SensorComparison
     from bubbleviz.simulation import Validation
+
+
+_STEP_OF = {"--vented": "step 5", "--level": "step 5", "--nodes": "step 3"}
+"""Step of the panel in place of each option of the command."""
 
 
 class ReportPage(Page):
@@ -55,7 +60,8 @@ class ReportPage(Page):
         if found.complete:
             pressure = self.units.gas_pressure.text
             lines = [*advice(found, pressure), *map(_remark, parameters(found, pressure))]
-        self.advice.setText("\n".join(f"• {line}" for line in lines))
+        text = "\n".join(f"• {line}" for line in lines)
+        self.advice.setText(re.sub("|".join(_STEP_OF), lambda option: _STEP_OF[option[0]], text))
         old = answer.compared_with
         self.compared.setText(f"Before: {old.name}" if old is not None else "")
         self._show_table(comparison)
