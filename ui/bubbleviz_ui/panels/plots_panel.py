@@ -175,11 +175,12 @@ class PlotsPanel(QWidget):
         shown = self._shown()
         columns = min(max(self.width() // CELL[0], 1), max(len(shown), 1))
         columns = -(-len(shown) // -(-len(shown) // columns)) if shown else 1
-        height = round(0.9 * CELL[1]) * -(-len(shown) // columns)  # a window may be a bit too low
-        fits = self.height() - self.sizeHint().height() >= height - 2 * CELL[1]
+        height = CELL[1] * -(-len(shown) // columns)
+        low = round(0.9 * height)  # a small window gives a bit less than the size hint
+        fits = self.height() - self.sizeHint().height() >= low - 2 * CELL[1]
         if not self._host.arrange([plot.item for plot in shown], columns, filled=fits):
             return
-        self._host.canvas.setMinimumHeight(height)
+        self._host.canvas.setMinimumHeight(low if fits else height)
         timed = [plot for plot in shown if isinstance(plot, TimePlot)]
         for plot in timed[1:]:
             plot.box.setXLink(timed[0].box)
