@@ -33,7 +33,7 @@ from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.second_membrane import SecondMembrane
 from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.demand import StageTimes
-from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, MessageKind, UserMessage
+from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, UserMessage
 from bubbleviz_ui.model.registry import PANELS
 from bubbleviz_ui.model.scene_presets import ScenePreset
 from bubbleviz_ui.model.session_state import SessionState
@@ -477,10 +477,9 @@ class PanelWindow(QMainWindow):
             facts = self.state.facts
             stays = "" if facts is None or facts.is_empty else " The current source stays open."
             message, topic = f"{message.rstrip('.')}.{stays}", OPENING
-        elif not (failed.warning or self.state.grows):
+        elif not self.state.grows:
             self.state.set_playing(False)
-        kind: MessageKind = "warning" if failed.warning else "error"
-        self.messages.add(kind, message, failed.details, topic=topic)
+        self.messages.add("error", message, failed.details, topic=topic)
 
     def show_rates(self) -> None:
         """Show frame rates and latency in the status bar."""

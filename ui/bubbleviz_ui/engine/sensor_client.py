@@ -293,7 +293,7 @@ class SensorClient(QObject):
     def _announce(self, solved: Solved, *, newest: bool = False) -> None:
         self.solved.emit(solved, newest)
         if solved.remark:
-            self.failed.emit(Failed("remark", solved.remark, warning=True))
+            self._state.messages.add("warning", solved.remark)
 
     def _show(self, solved: Solved) -> None:
         self.result = solved.result

@@ -429,18 +429,19 @@ class Solver:
 
     def _misfit_remark(self, current: OpenSource, frame: Frame, *, cold: bool) -> str:
         """Warning, once per source, if images without contact contradict the sensor file."""
-        remark, errors, recording = "", frame.image_errors, current.recording
+        remark, errors, pipeline = "", frame.image_errors, current.pipeline
         if self._checked is current:
             return ""
         if errors is not None:  # known from images without contact
             measured = frame.gas_pressure_pa is not None
-            remark = drift_warning(errors.mean, current.pipeline, gas_measured=measured)
-            if remark and current.pipeline.model.pixels is None:
-                remark = UNCALIBRATED
-        if not remark and cold and recording is not None:  # not while playing, as it takes seconds
-            self._checked = current
-            return _sensor_file_remark(recording, current.pipeline.model)
+            remark = drift_warning(errors.mean, pipeline, gas_measured=measured)
         if remark:
+            remark = UNCALIBRATED if pipeline.model.pixels is None else remark
+            stream, name = current.opened.stream, current.source.name
+            remark = f"{name}: {remark}" if stream is not None and stream.paired else remark
+            self._checked = current
+        elif cold and current.recording is not None:  # not while playing, as it takes seconds
+            remark = _sensor_file_remark(current.recording, pipeline.model)
             self._checked = current
         return remark
 

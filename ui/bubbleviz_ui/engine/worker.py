@@ -35,13 +35,12 @@ class Deferred(Exception):  # noqa: N818 - not an error
 class Failed:
     """A failed function: one line for the user, and the traceback if it is a bug.
 
-    A `warning` accompanies a result. `request` is the one given to `Worker.submit`.
+    `request` is the one given to `Worker.submit`.
     """
 
     key: str
     message: str
     details: str = ""
-    warning: bool = False
     request: object = None
     error: Exception | None = field(default=None, compare=False)
 
