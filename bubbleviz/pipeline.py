@@ -431,10 +431,9 @@ class Pipeline:
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
         """Measured minus modelled range of the cloud's pixels, m."""
-        pixels = _required(result.cloud_pixels)
-        modelled = self.model.view.ranges(_required(result.estimate).motion_m, pixels)
-        measured = self.model.ranges(result.frame.depth_m, pixels)
-        return replace(result, cloud_residual_m=measured - modelled)
+        estimate, pixels = _required(result.estimate), _required(result.cloud_pixels)
+        residual_m = self.model.residuals(result.frame.depth_m, estimate, pixels)
+        return replace(result, cloud_residual_m=residual_m)
 
     def _texture_stage(self, result: Result, options: FrameOptions) -> Result:
         estimate = _required(result.estimate)

@@ -9,7 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from bubbleviz.camera import DepthCamera, Intrinsics, MembraneView, PixelModel, RangeObserver
+from bubbleviz.camera import (
+    DepthCamera,
+    Intrinsics,
+    MembraneView,
+    PixelModel,
+    RangeObserver,
+    range_errors,
+)
 from bubbleviz.errors import InputError, check_type
 from bubbleviz.membrane import (
     Gas,
@@ -20,6 +27,7 @@ from bubbleviz.membrane import (
     build_rubber,
     reference_tension,
 )
+from bubbleviz.result import Estimate
 from bubbleviz.sensor import Sensor, contradiction
 
 _NODE_PIXELS = 10_000  # for the residuals of the nodes: some ten for each
@@ -153,20 +161,33 @@ class SensorModel:
         ranges = self.camera.range_image(depth_m)
         return ranges if self.pixels is None else self.pixels.corrected(ranges)
 
-    def node_residuals(self, depth_m: np.ndarray, motion_m: np.ndarray) -> np.ndarray:
-        """Mean of measured minus modelled range around each node, (n,), m; NaN where not seen.
+    def residuals(self, depth_m: np.ndarray, estimate: Estimate, pixels: np.ndarray) -> np.ndarray:
+        """Measured minus modelled range of pixels given by flat indices (k,), m; NaN if not known.
 
-        Parameters
-        ----------
-        depth_m : (H, W) array
-            z-depth image.
-        motion_m : (n,) or (n, 3) array
-            Of the nodes, as of an estimate.
+        The model includes the estimated errors of the whole image, as it did in the fit.
         """
+        modelled = self.view.ranges(estimate.motion_m, pixels)
+        error_m = self._image_error_m(estimate, pixels, modelled)
+        return self.ranges(depth_m, pixels) - modelled - error_m
+
+    def _image_error_m(
+        self, estimate: Estimate, pixels: np.ndarray, range_m: np.ndarray
+    ) -> np.ndarray | float:
+        """Estimated range errors (k,) of the whole image in some pixels (k,)."""
+        if estimate.image_errors is None:
+            return 0.0
+        camera, at_rest = self.camera, self.view.at_rest[pixels]
+        normals = self.mesh.normals[self.mesh.triangles[at_rest]].sum(axis=1)
+        by_unit = range_errors(camera.T_B_C, camera.directions[pixels], range_m, normals)
+        return by_unit @ estimate.image_errors.mean
+
+    def node_residuals(self, depth_m: np.ndarray, estimate: Estimate) -> np.ndarray:
+        """Mean of measured minus modelled range around each node, (n,), m; NaN where not seen."""
         step = max(1, round((depth_m.size / _NODE_PIXELS) ** 0.5))
         pixels = np.arange(depth_m.size).reshape(depth_m.shape)[::step, ::step].ravel()
-        hits = self.view.hits(motion_m, pixels)
-        residual = self.ranges(depth_m, hits.ray) - hits.range_m
+        hits = self.view.hits(estimate.motion_m, pixels)
+        error_m = self._image_error_m(estimate, hits.ray, hits.range_m)
+        residual = self.ranges(depth_m, hits.ray) - hits.range_m - error_m
         seen = np.isfinite(residual)
         nodes = self.mesh.triangles[hits.triangle[seen]].ravel()
         count = np.bincount(nodes, minlength=len(self.mesh.nodes))

@@ -147,7 +147,9 @@ def _image(name: str, result: Result, model: SensorModel) -> np.ndarray | None:
         return measured - model.view.rest_range
     if name == "used":
         return np.isfinite(measured) & np.isfinite(model.view.rest_range)
-    return None if estimate is None else measured - model.view.range_image(estimate.motion_m)
+    if estimate is None:
+        return None
+    return model.residuals(depth, estimate, np.arange(depth.size)).reshape(depth.shape)
 
 
 def _no_flow(pipeline: Pipeline, result: Result) -> str:

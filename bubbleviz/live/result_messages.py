@@ -173,7 +173,7 @@ def _membrane(messages: ResultMessages, header: Any, result: Result) -> Any:
     if (trusted := result.trusted_estimate) is None:
         return _cloud(header, mesh.nodes, unknown, unknown, np.zeros(len(unknown), bool))
     model, motion, depth = messages.model, trusted.motion_m, result.frame.depth_m
-    residual = unknown if model is None else model.node_residuals(depth, motion)
+    residual = unknown if model is None else model.node_residuals(depth, trusted)
     x, inside = mesh.deformed(motion), result.solution[1].node_mask
     return _cloud(header, x, trusted.contact_pressure_pa, residual, inside)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import bubbleviz as bv
 from bubbleviz.diagnostics import Probe, profile
 from bubbleviz.membrane import TriangleScene
 from bubbleviz.pipeline import FrameOptions, Pipeline
@@ -116,6 +117,24 @@ def test_without_an_estimate_the_membrane_is_at_rest(pipeline, result):
     at_rest = found.barycentric @ pipeline.mesh.nodes[found.nodes]
     np.testing.assert_array_equal(found.membrane_m, at_rest)
     assert np.isnan([found.displacement_m, found.pressure_pa]).all()
+
+
+def test_errors_of_the_whole_image_are_no_residual(pipeline):
+    """As in the misfit of the estimate, which is fitted with them."""
+    away = np.eye(4)
+    away[2, 3] = 0.2
+    frame = bv.simulate(SENSOR, "sphere", away)[0]
+    off = replace(frame, depth_m=frame.depth_m + np.float32(5e-4))
+    found = []
+    for each in (frame, off):
+        pipeline.restart()
+        result = pipeline.process(each, frozenset({"estimate", "cloud", "residual"}))
+        result = pipeline.diagnose(result, frozenset({"residual_image"}))
+        image, cloud = result.inspection.images["residual"].ravel(), result.cloud_residual_m
+        nodes = pipeline.model.node_residuals(each.depth_m, result.estimate)
+        found.append(np.concatenate([image, cloud, nodes]))
+    change = np.abs(found[1] - found[0])
+    assert np.nanmax(change) < 1e-4
 
 
 def test_residual_of_the_pixel_or_of_a_close_one(pipeline):
