@@ -183,7 +183,7 @@ def _moved(press: Press, rng: np.random.Generator) -> tuple[float, str, Change]:
     def seen(depth: np.ndarray, _: int) -> np.ndarray:
         known = np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan)
         pixels, there = np.indices(depth.shape), np.full(depth.shape, np.nanmedian(known))
-        for _ in range(8):  # the pixel at which the place of each was before depends on its depth
+        for _ in range(8):  # fixed point: where a pixel's point was seen depends on its depth
             places = pixels + focal * aside / there
             found = map_coordinates(known, places, order=1, cval=np.nan)
             there = np.where(np.isfinite(found), found, there)

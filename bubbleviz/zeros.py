@@ -69,7 +69,7 @@ def drift_warning(errors: np.ndarray, pipeline: Pipeline, *, gas_measured: bool)
         return (
             f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm since the calibration, "
             "or turned, which looks the same; forces are corrected for it, beyond 1 mm only "
-            "roughly. Check its mounting, and identify the sensor again"
+            "roughly, poses are not. Check its mounting, and identify the sensor again"
         )
     if abs(drift_m) <= limit_m:
         return ""

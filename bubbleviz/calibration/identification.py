@@ -199,7 +199,7 @@ def open_chamber(source: FrameSource) -> Quantity:
     if len(known) < fewest:
         raise InputError(
             f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
-            f"{fewest} or more with the chamber open, or leave out the open chamber (--vented)"
+            f"{fewest} or more with the chamber open, or leave out the open chamber"
         )
     name = f"the open-chamber recording {source.name}"
     return Quantity.normal(float(np.mean(known)), error_of_mean(known), name)
@@ -227,7 +227,7 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
             raise InputError(
                 f"{name}: not every contact-free frame has a gas pressure, so {vented.source} does "
                 "not determine the gauge pressure; record it in all of them, or leave out the open "
-                "chamber (--vented)"
+                "chamber"
             )
         source = _FILE if file_sigma else f"{_FILE}, which gives no gauge_sigma_pa"
         return Quantity.normal(in_file, pneumatics.gauge_deviation_pa, source)

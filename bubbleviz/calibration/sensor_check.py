@@ -54,9 +54,10 @@ _CAUSES = {
 """Unit of each cause: those of `IMAGE_ERRORS`, and the gas pressure."""
 _SHOWN = {"m": ("mm", 1e3), "1": ("%", 1e2)}  # in the text
 _GAS = len(IMAGE_ERRORS)  # place of the gas pressure among the causes
-_AGAIN = "mounting, then identify the sensor again, untouched"
-_RESHAPED = f"check the camera's {_AGAIN}"
-_WARM_UP = f"let the camera warm up and check its {_AGAIN}"
+_MOUNTING = "check the camera's mounting, then identify the sensor again, untouched"
+_WARM_UP = (
+    "let the camera warm up and check its mounting, then identify the sensor again, untouched"
+)
 _INFLATE = "inflate the sensor to the gauge pressure in its file, or identify it again"
 
 _STEP = 0.01  # of the gauge pressure, for the first secant of its pattern
@@ -83,7 +84,7 @@ class CheckRow:
             "" if number is None else rounded(factor * number, digits)
             for number in (self.value, self.half_width, self.limit)
         )
-        cells = value or "needs λ", half and f"± {half}", unit, limit and f"± {limit}"
+        cells = value or "needs λ", half and f"± {half}", value and unit, limit and f"± {limit}"
         return self.quantity, *cells, self.todo
 
 
@@ -168,7 +169,7 @@ def check_sensor(
     force = "" if error is None else f", which changes a force of {press:.2g} N by {error:.2g} N"
     reason = (
         f"drifted by {1e3 * rest.bias_m:+.2f} mm in mean depth{force} "
-        f"({names or 'pattern of the pixels'}): {largest.todo if largest else _RESHAPED}"
+        f"({names or 'pattern of the pixels'}): {largest.todo if largest else _MOUNTING}"
     )
     return replace(found, verdict="drifted", reason=reason, press_n=press, force_error_n=error)
 
@@ -389,7 +390,7 @@ class _RestComparison:
         rows, together = [], self.causes if len(self.causes) < 2 else range(len(_CAUSES))
         for k, (name, unit) in enumerate(_CAUSES.items()):
             size, half = self._size(k, together)
-            remedy = _INFLATE if k == _GAS else _RESHAPED if "shift" in name else _WARM_UP
+            remedy = _INFLATE if k == _GAS else _MOUNTING if "shift" in name else _WARM_UP
             found = k in self.causes and not self.shape.todo
             rows.append(CheckRow(name, unit, size, half, self._limit(k), remedy if found else ""))
         if self.model.sensor.membrane.prestretch is None:  # the stiffness is unknown

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -530,8 +531,8 @@ class GaussNewton:
         """A contact with hyperparameters by its own evidence, and these.
 
         They are determined on its support, as they change neither the derivative of the
-        measurements nor its Gram matrix. With optical flow the noise factors remain. Errors of the
-        image are the known ones unless these do not fit.
+        measurements nor its Gram matrix. With optical flow the noise factors remain. The prior of
+        the errors of the image is the known one unless the image refutes it.
         """
         selection = Selection(contact.support, contact.pivots, contact.converged, contact.complete)
 
@@ -541,27 +542,14 @@ class GaussNewton:
             factor = (hyper.noise.ranges / found.noise.ranges) ** 2
             return contact.problem.with_prior(*prior, factor).solve_debiased(selection, touches)
 
-        def evidence(contact: ContactPressure, hyper: Hyperparameters) -> Hyperparameters:
-            return self._evidence(contact, scaled, observed, hyper, fit_image)
-
         if hyper.image_errors is not observed.image_prior:
             known = hyper._replace(image_errors=observed.image_prior)
             contact, hyper = solved(known), known
         for solution in range(1, _MAX_SOLUTIONS + 1):
-            found = evidence(contact, hyper)
+            found = self._evidence(contact, scaled, observed, hyper, fit_image)
             settled = found.noise == hyper.noise or solution == _MAX_SOLUTIONS
             if settled and fit_image and hyper.image_errors is not self.moved_prior:
-                moved = hyper._replace(image_errors=self.moved_prior)
-                noise = found.noise
-                if noise.ranges > 1.0:  # a motion of the camera may be a part of it
-                    noise = min(noise, evidence(solved(moved), moved).noise)
-                judged = hyper._replace(noise=noise)
-                judge = contact if judged == hyper else solved(judged)
-                if self._refutes_image_errors(judge, judged):
-                    # an error of the membrane's model is no motion of the camera
-                    drifted = hyper.image_errors is self.drift_prior
-                    prior = self.moved_prior if drifted else self.drift_prior
-                    found = judged._replace(image_errors=prior)
+                found = self._unless_refuted(found, contact, hyper, observed, solved)
             if found == hyper:
                 break
             again, before = solved(found), hyper
@@ -590,17 +578,47 @@ class GaussNewton:
             else scale
             for (own, sigma), scale in zip(scaled, hyper.scales, strict=True)
         )
-        noise = hyper.noise
-        if observed.flow is None and (contact.pressure.any() or not contact.pivots):
-            error_m = contact.problem.measurements.nuisances.error(contact.amplitudes)
-            residual_m = observed.residual_m(contact.motion, error_m)
-            noise = self._noise_of(contact, residual_m, observed, noise, fit_image)
+        noise = self._noise_by(contact, observed, hyper.noise, fit_image)
         return hyper._replace(noise=noise, scales=scales)
 
-    def _refutes_image_errors(self, contact: ContactPressure, hyper: Hyperparameters) -> bool:
-        """Whether a contact that was solved with a prior of the errors of the image refutes it."""
-        shift = contact.amplitudes[-len(IMAGE_ERRORS) :] / hyper.doubt
-        return bool(shift @ hyper.image_errors.precision @ shift > _IMAGE_CHANGED)
+    def _noise_by(
+        self, contact: ContactPressure, observed: LinearisedFrame, noise: Noise, fit_image: bool
+    ) -> Noise:
+        """Noise factors by the residual of a contact that was solved with others."""
+        if observed.flow is not None or (contact.pivots and not contact.pressure.any()):
+            return noise
+        error_m = contact.problem.measurements.nuisances.error(contact.amplitudes)
+        residual_m = observed.residual_m(contact.motion, error_m)
+        return self._noise_of(contact, residual_m, observed, noise, fit_image)
+
+    def _unless_refuted(
+        self,
+        found: Hyperparameters,
+        contact: ContactPressure,
+        hyper: Hyperparameters,
+        observed: LinearisedFrame,
+        solved: Callable[[Hyperparameters], ContactPressure],
+    ) -> Hyperparameters:
+        """`found`, with another prior of the errors of the image if the image refutes that one.
+
+        It is judged with the noise that a moved camera would leave: friction and noise may have
+        taken up its motion in the contact that was solved with `hyper`.
+        """
+        noise = found.noise
+        if noise.ranges > 1.0 and observed.flow is None:
+            moved = solved(hyper._replace(image_errors=self.moved_prior))
+            noise = min(noise, self._noise_by(moved, observed, noise, True))
+        judged = hyper._replace(noise=noise)
+        amplitudes = (contact if judged == hyper else solved(judged)).amplitudes
+        prior = hyper.image_errors
+        errors = observed.image_prior.mean + amplitudes[-len(IMAGE_ERRORS) :]
+        # errors known from other frames are not less certain because this one is noisy
+        off = (errors - prior.mean) / (judged.doubt if prior is self.drift_prior else 1.0)
+        if off @ prior.precision @ off <= _IMAGE_CHANGED:
+            return found
+        # drift is tried before motion, which errors of the membrane's model resemble
+        other = self.moved_prior if prior is self.drift_prior else self.drift_prior
+        return found._replace(noise=noise, image_errors=other)
 
     def _hidden(self, observed: LinearisedFrame) -> np.ndarray:
         """Nodes (n,) bool that an image shows neither at the present shape nor at rest.

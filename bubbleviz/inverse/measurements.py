@@ -216,7 +216,7 @@ class LinearisedFrame:
     image_errors_m : (k, e) array
         Range errors of those blocks under a unit of each error of the whole image.
     image_prior : ImageErrors
-        Of these errors.
+        Prior of these errors.
     border : (k, b) array
         Range errors of those blocks under a unit of each error beside missing returns.
     flow : FlowResidual or None

@@ -47,7 +47,7 @@ class ContactPoints:
     radius_m: float  # their root mean square distance from it
     rest_center: np.ndarray  # (3,), where that part of the membrane was at rest, on average
     membrane: np.ndarray  # (n, 3), all nodes of the membrane, as estimated
-    # (e,), estimated amplitudes of `IMAGE_ERRORS`; their σ is negligible beside model errors
+    # (e,), estimated amplitudes of `IMAGE_ERRORS`; their covariance is not used: it changed no pose
     image_errors: np.ndarray
 
     @property

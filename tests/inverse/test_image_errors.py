@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bubbleviz.camera import IMAGE_ERRORS, DepthCamera, MembraneView, PixelModel
+from bubbleviz.camera import IMAGE_ERRORS, DepthCamera, ImageErrors, MembraneView, PixelModel
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, depth_image_of, estimator, pressed
@@ -61,26 +61,34 @@ def test_force_of_a_press_with_image_errors(solver, kind, size):
     [
         (("cylinder", 0.005, 0.0), (1e-3, 0.0, 0.0), 0),
         (("cylinder", 0.005, 0.0), (0.0, -2e-3, 0.0), 0),
-        (
-            ("sphere", 0.007, 0.008),
-            (0.0, -1e-3, 0.0),
-            1,
-        ),  # friction and noise fit it, too
+        # friction and noise fit this one, too
+        (("sphere", 0.007, 0.008), (0.0, -1e-3, 0.0), 1),
     ],
 )
 def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, press, shift_m, seed):
-    """Solved as if it were where it was."""
+    """Its motion is found, and the force is right."""
     T_B_C = CAMERA.T_B_C.copy()
     T_B_C[:3, 3] += T_B_C[:3, :3] @ shift_m
     camera, (mesh, contact) = DepthCamera(CAMERA.intrinsics, T_B_C), pressed(*press)
     noise_m, images = NOISE_M * np.random.default_rng(seed).standard_normal(ROWS.shape), []
     for motion in (np.zeros_like(mesh.nodes), contact.displacement_3d_m):
         images.append(camera.depth_image(MembraneView(camera, mesh).range_image(motion) + noise_m))
-    assert solver.estimate(images[0])[0].status == "no_contact"
-    estimate, _ = solver.estimate(images[1])
-    error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
-    assert error < estimate.force_half_width_n
-    assert estimate.image_errors.mean[4:] == pytest.approx(shift_m[:2], abs=3e-4)
+    rest, _ = solver.estimate(images[0])
+    assert rest.status == "no_contact"
+    for known in (None, rest.image_errors):
+        estimate, _ = solver.estimate(images[1], image_errors=known)
+        error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
+        assert error < estimate.force_half_width_n
+        assert estimate.image_errors.mean[4:] == pytest.approx(shift_m[:2], abs=3e-4)
+
+
+def test_a_known_error_that_has_gone_is_no_motion_of_the_camera(solver):
+    drift = solver.image_priors[0]
+    known = ImageErrors(np.array([3e-4, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.01 * drift.covariance)
+    mesh, contact = pressed("cylinder", 0.005, 0.0)
+    image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
+    estimate, _ = solver.estimate(image, image_errors=known)
+    assert np.abs(estimate.image_errors.mean[4:]).max() < 3e-5
 
 
 def test_half_an_image_does_not_determine_its_errors(solver):

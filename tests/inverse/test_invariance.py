@@ -31,7 +31,7 @@ def test_warm_starts_of_the_real_press(punyo_press):
     areas, forces = np.abs(area[1:] / area[0] - 1.0), np.abs(force[1:] / force[0] - 1.0)
     assert areas.max() < 0.05
     assert forces.max() < 0.01
-    assert np.mean(areas < 0.03) >= 0.9  # 0.95 is asked; 0.97 found
+    assert np.mean(areas < 0.03) >= 0.9  # 0.95 is asked; 0.96 found
 
 
 def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(punyo_press):

@@ -335,9 +335,9 @@ class Solver:
         solved = self._solved(current, demand, frame, solver_process=process)
         stream.publish(solved.result, current.pipeline)
         lost = "" if process is None else process.lost
-        if lost != lost_before:
-            solved = replace(solved, remark=_process_ended_remark(current, lost))
-        return replace(solved, outages=stream.outages)
+        ended = "" if lost == lost_before else _process_ended_remark(current, lost)
+        remark = "; ".join(filter(None, (ended, solved.remark)))
+        return replace(solved, outages=stream.outages, remark=remark)
 
     def set_object(
         self, object_name: str | None, unit: Literal["m", "mm"] | None, start: np.ndarray | None

@@ -72,7 +72,7 @@ class PlotHost(QWidget):
     def arrange(self, items: list[Any], columns: int = 1, *, filled: bool = False) -> bool:
         """Arrange the items in a grid, replacing all others; returns whether they were not yet.
 
-        `filled`: The first item is so much higher that no place is empty.
+        `filled`: the first item spans as many rows as leave no cell empty.
         """
         if self._arranged == (items, columns, filled):
             return False

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 EVERY_MS = 200
 """Redraw period; drawing the curves takes some ms."""
 CELL = (310, 112)
-"""Smallest width of a plot and its height if there is room, screen pixels."""
+"""Smallest width of a plot and, where plots are scrolled, its height, screen pixels."""
 DRAWN = PATCH_SETTINGS | UNIT_CHOICES.keys() | {"plots"}
 """Settings whose change redraws the curves."""
 
