@@ -162,9 +162,17 @@ class SensorModel:
         return ranges if self.pixels is None else self.pixels.corrected(ranges)
 
     def residuals(self, depth_m: np.ndarray, estimate: Estimate, pixels: np.ndarray) -> np.ndarray:
-        """Measured minus modelled range of pixels given by flat indices (k,), m; NaN if not known.
+        """Measured minus modelled ranges of some pixels, (k,), m; NaN where not known.
 
-        The model includes the estimated errors of the whole image, as it did in the fit.
+        Modelled are the membrane and, as in the fit, the estimated errors of the whole image.
+
+        Parameters
+        ----------
+        depth_m : (H, W) array
+            z-depth image, m.
+        estimate : Estimate
+        pixels : (k,) int array
+            Flat indices.
         """
         modelled = self.view.ranges(estimate.motion_m, pixels)
         error_m = self._image_error_m(estimate, pixels, modelled)
@@ -182,7 +190,7 @@ class SensorModel:
         return by_unit @ estimate.image_errors.mean
 
     def node_residuals(self, depth_m: np.ndarray, estimate: Estimate) -> np.ndarray:
-        """Mean of measured minus modelled range around each node, (n,), m; NaN where not seen."""
+        """Mean of `residuals` around each node, (n,), m; NaN where not seen."""
         step = max(1, round((depth_m.size / _NODE_PIXELS) ** 0.5))
         pixels = np.arange(depth_m.size).reshape(depth_m.shape)[::step, ::step].ravel()
         hits = self.view.hits(estimate.motion_m, pixels)

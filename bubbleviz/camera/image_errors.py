@@ -22,9 +22,18 @@ share of the depth; and motion of the camera across its optical axis, in m."""
 def range_errors(
     T_B_C: np.ndarray, rays: np.ndarray, range_m: np.ndarray, normals: np.ndarray
 ) -> np.ndarray:
-    """Errors (r, e) of the ranges (r,) of unit rays (r, 3) under a unit of each of `IMAGE_ERRORS`.
+    """Errors (r, e) of ranges under a unit of each of `IMAGE_ERRORS`, to first order.
 
-    Normals (r, 3) are those of the surface, of any length.
+    Parameters
+    ----------
+    T_B_C : (4, 4) array
+        Pose of the camera.
+    rays : (r, 3) array
+        Unit vectors in B.
+    range_m : (r,) array
+        Ranges along them, m.
+    normals : (r, 3) array
+        Normals of the surface there, of any length.
     """
     right, down, forward = T_B_C[:3, :3].T @ rays.T
     tilts = right / forward**2, down / forward**2

@@ -142,14 +142,14 @@ def _image(name: str, result: Result, model: SensorModel) -> np.ndarray | None:
         if model.pixels is None:
             return model.sensor.camera.noise_relative * model.view.rest_range
         return np.where(model.pixels.mask, model.pixels.noise_m, np.nan)
+    if name == "residual":
+        if estimate is None:
+            return None
+        return model.residuals(depth, estimate, np.arange(depth.size)).reshape(depth.shape)
     measured = model.range_image(depth)
     if name == "change":
         return measured - model.view.rest_range
-    if name == "used":
-        return np.isfinite(measured) & np.isfinite(model.view.rest_range)
-    if estimate is None:
-        return None
-    return model.residuals(depth, estimate, np.arange(depth.size)).reshape(depth.shape)
+    return np.isfinite(measured) & np.isfinite(model.view.rest_range)
 
 
 def _no_flow(pipeline: Pipeline, result: Result) -> str:
