@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from bubbleviz.camera import (
+    OF_RANGES,
     DepthCamera,
     Intrinsics,
     MembraneView,
@@ -174,26 +175,24 @@ class SensorModel:
         pixels : (k,) int array
             Flat indices.
         """
-        modelled = self.view.ranges(estimate.motion_m, pixels)
+        modelled = self.view.ranges(self.view.motion_seen(estimate), pixels)
         error_m = self._image_error_m(estimate, pixels, modelled)
         return self.ranges(depth_m, pixels) - modelled - error_m
 
     def _image_error_m(
         self, estimate: Estimate, pixels: np.ndarray, range_m: np.ndarray
     ) -> np.ndarray | float:
-        """Estimated range errors (k,) of the whole image in some pixels (k,)."""
+        """Estimated range errors (k,) of the whole image in some pixels (k,), without shifts."""
         if estimate.image_errors is None:
             return 0.0
-        camera, at_rest = self.camera, self.view.at_rest[pixels]
-        normals = self.mesh.normals[self.mesh.triangles[at_rest]].sum(axis=1)
-        by_unit = range_errors(camera.T_B_C, camera.directions[pixels], range_m, normals)
-        return by_unit @ estimate.image_errors.mean
+        by_unit = range_errors(self.camera.T_B_C, self.camera.directions[pixels], range_m)
+        return by_unit @ estimate.image_errors.mean[OF_RANGES]
 
     def node_residuals(self, depth_m: np.ndarray, estimate: Estimate) -> np.ndarray:
         """Mean of `residuals` around each node, (n,), m; NaN where not seen."""
         step = max(1, round((depth_m.size / _NODE_PIXELS) ** 0.5))
         pixels = np.arange(depth_m.size).reshape(depth_m.shape)[::step, ::step].ravel()
-        hits = self.view.hits(estimate.motion_m, pixels)
+        hits = self.view.hits(self.view.motion_seen(estimate), pixels)
         error_m = self._image_error_m(estimate, hits.ray, hits.range_m)
         residual = self.ranges(depth_m, hits.ray) - hits.range_m - error_m
         seen = np.isfinite(residual)

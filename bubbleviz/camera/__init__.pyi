@@ -17,8 +17,11 @@ from .flow_observer import (
 from .image_change import ImageChange as ImageChange
 from .image_errors import (
     IMAGE_ERRORS as IMAGE_ERRORS,
+    OF_RANGES as OF_RANGES,
+    SHIFTS as SHIFTS,
     ImageErrors as ImageErrors,
     range_errors as range_errors,
+    range_shifts as range_shifts,
 )
 from .intrinsics import (
     DepthCamera as DepthCamera,

@@ -17,12 +17,11 @@ IMAGE_ERRORS = (
 )
 """An offset, in m; offsets that grow with the tangent of the angle off the optical axis, in m; a
 share of the depth; and motion of the camera across its optical axis, in m."""
+OF_RANGES, SHIFTS = slice(4), slice(4, 6)
 
 
-def range_errors(
-    T_B_C: np.ndarray, rays: np.ndarray, range_m: np.ndarray, normals: np.ndarray
-) -> np.ndarray:
-    """Errors (r, e) of ranges under a unit of each of `IMAGE_ERRORS`, to first order.
+def range_errors(T_B_C: np.ndarray, rays: np.ndarray, range_m: np.ndarray) -> np.ndarray:
+    """Errors (r, 4) of ranges under a unit of each of `IMAGE_ERRORS` but shifts.
 
     Parameters
     ----------
@@ -32,14 +31,26 @@ def range_errors(
         Unit vectors in B.
     range_m : (r,) array
         Ranges along them, m.
-    normals : (r, 3) array
-        Normals of the surface there, of any length.
     """
     right, down, forward = T_B_C[:3, :3].T @ rays.T
-    tilts = right / forward**2, down / forward**2
+    return np.column_stack([1.0 / forward, right / forward**2, down / forward**2, range_m])
+
+
+def range_shifts(T_B_C: np.ndarray, rays: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Errors (r, 2) of ranges under a unit of each of the shifts, to first order.
+
+    Parameters
+    ----------
+    T_B_C : (4, 4) array
+        Pose of the camera.
+    rays : (r, 3) array
+        Unit vectors in B.
+    normals : (r, 3) array
+        Normals of the surface where they meet it, of any length.
+    """
     along = np.einsum("ri,ri->r", normals, rays)
-    shifts = -normals @ T_B_C[:3, :2] / along[:, None]
-    return np.column_stack([1.0 / forward, *tilts, range_m, shifts])
+    shifts: np.ndarray = -normals @ T_B_C[:3, :2] / along[:, None]
+    return shifts
 
 
 @dataclass(frozen=True, eq=False)

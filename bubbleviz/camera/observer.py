@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage, sparse
 
-from bubbleviz.camera.image_errors import IMAGE_ERRORS, range_errors
+from bubbleviz.camera.image_errors import (
+    IMAGE_ERRORS,
+    OF_RANGES,
+    SHIFTS,
+    range_errors,
+    range_shifts,
+)
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.camera.pixel_model import PixelModel, UsedPixels
 from bubbleviz.camera.raycast import Hits, RayCaster, sparse_rows, vector_columns
@@ -330,9 +336,10 @@ class RangeObserver:
         # that do not see the membrane at rest
         corners = mesh.normals[mesh.triangles[at_rest.triangle]]
         normals = np.einsum("rk,rki->ri", at_rest.barycentric, corners)
-        seen = camera.T_B_C, rays[at_rest.ray], at_rest.range_m, normals
+        T_B_C, seen = camera.T_B_C, rays[at_rest.ray]
         self.image_errors = np.zeros((self.blocks, len(IMAGE_ERRORS)))
-        self.image_errors[at_rest.ray] = range_errors(*seen)
+        self.image_errors[at_rest.ray, OF_RANGES] = range_errors(T_B_C, seen, at_rest.range_m)
+        self.image_errors[at_rest.ray, SHIFTS] = range_shifts(T_B_C, seen, normals)
 
     def _block_of(self, pixel: np.ndarray) -> np.ndarray:
         row, column = np.divmod(pixel, self.camera.intrinsics.width)
@@ -620,8 +627,15 @@ class RangeObserver:
         nodes: np.ndarray,  # (n, 3), in B, m
         # of an earlier shape: if near, rays walk on from the triangles that they met there
         last: ShapeRanges | None = None,
+        shift_m: np.ndarray | None = None,  # (2,), shifts of the camera as in `IMAGE_ERRORS`, m
     ) -> ShapeRanges:
-        """Model of the block residuals, linearised at a shape."""
+        """Model of the block residuals, linearised at a shape.
+
+        Beyond first order, which is in `image_errors`, it includes the effect of the shifts: the
+        contact is seen elsewhere by a camera that has moved.
+        """
+        if shift_m is not None and shift_m.any():
+            nodes = nodes - self.camera.T_B_C[:3, :2] @ shift_m
         if last is not None and np.array_equal(nodes, last.nodes_m):
             return last
         if last is not None and np.abs(nodes - last.cast_at_m).max() <= self._walk_m:
@@ -631,6 +645,8 @@ class RangeObserver:
             hits = self._visible_at_rest(self._caster.cast(nodes, near=self._at_rest))
         model = np.zeros(self.blocks)
         model[hits.ray] = hits.range_m - self._rest_range[hits.ray]
+        if shift_m is not None:
+            model[hits.ray] -= self.image_errors[hits.ray, SHIFTS] @ shift_m
         slopes = self._caster.slopes(nodes, hits)
         values = (hits.barycentric[:, :, None] * slopes[:, None]).reshape(-1, 9)
         jacobian = sparse_rows(values, self._columns[hits.triangle], nodes.size)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import sparse
 
+from bubbleviz.camera.image_errors import SHIFTS
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.membrane import (
     MembraneMesh,
@@ -334,7 +335,15 @@ class MembraneView:
         """Pixels (H, W) that see where a patch exceeds a level."""
         mesh, estimate, levels = patch.finest(self.mesh, estimate)
         view = self if mesh is self.mesh else MembraneView(self.camera, mesh)
-        return view.above(estimate.motion_m, levels, level)
+        return view.above(view.motion_seen(estimate), levels, level)
+
+    def motion_seen(self, estimate: Estimate) -> np.ndarray:
+        """Motion (n, 3) of an estimate relative to the camera, m, which may have been moved."""
+        errors = estimate.image_errors
+        if errors is None:
+            return estimate.motion_m
+        motion: np.ndarray = estimate.motion_m - self.camera.T_B_C[:3, :2] @ errors.mean[SHIFTS]
+        return motion
 
     def above(self, displacement_m: np.ndarray, field: np.ndarray, level: float) -> np.ndarray:
         """Pixels (H, W) that see a part of the membrane where a nodal field exceeds a level.

@@ -65,7 +65,7 @@ def _ious(
     view: MembraneView, estimate: Estimate, truth: np.ndarray, levels: np.ndarray
 ) -> np.ndarray:
     """IoU of the pixels above each level, from one cast of all rays."""
-    hits = view.hits(estimate.motion_m)
+    hits = view.hits(view.motion_seen(estimate))
     pressure = hits.values(estimate.contact_pressure_pa, view.mesh.triangles)
     in_patch = np.sort(pressure[truth.ravel()[hits.ray]])
     everywhere = np.sort(pressure)

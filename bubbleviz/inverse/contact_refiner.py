@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.camera import SQUARES, RangeObserver, RayCaster
+from bubbleviz.camera import SHIFTS, SQUARES, RangeObserver, RayCaster
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
@@ -206,11 +206,12 @@ class ContactRefiner:
             areas = self._model.mesh.areas[:, None]
             friction = finer.values(estimate.friction_n / areas) * finer.mesh.areas[:, None]
         measured, view, noise = observer.measure(depth_m), None, 1.0
-        off_m = np.zeros(observer.blocks)
+        off_m, shift_m = np.zeros(observer.blocks), None
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
+            shift_m = estimate.image_errors.mean[SHIFTS]
         for step in range(_STEPS + part.twice):
-            view = observer.around(x, view)
+            view = observer.around(x, view, shift_m)
             expected = view.model_m + off_m
             observation = observer.weigh(measured, expected)
             error = observation.residual_m[view.block] - expected[view.block]

@@ -16,7 +16,7 @@ from bubbleviz.files import write_json, write_ply
 from bubbleviz.output.exporter import Exporter, Shape
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import Frame
-from bubbleviz.result import Result
+from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor_model import SensorModel
 
 # VTK XML poly data (.vtp) and the index file of a series, written without VTK: VTK is only
@@ -165,8 +165,7 @@ class PatchPly(Series):
         inside = patch.pixel_mask.ravel()[pixels]
         if not estimate.trusted or not inside.any():
             return np.empty((0, 3)), np.empty(0)
-        field, chosen = estimate.contact_pressure_pa, pixels[inside]
-        return cloud[inside], nodal_at(self.model.view, estimate.motion_m, field, chosen)
+        return cloud[inside], pressure_at(self.model.view, estimate, pixels[inside])
 
 
 class Pictures(Series):
@@ -231,8 +230,7 @@ class PressurePictures(Pictures):
         if estimate is None:
             return np.full(view.shape, np.nan)
         pixels = np.arange(view.shape[0] * view.shape[1])
-        image = nodal_at(view, estimate.motion_m, estimate.contact_pressure_pa, pixels)
-        return image.reshape(view.shape)
+        return pressure_at(view, estimate, pixels).reshape(view.shape)
 
     def range(self) -> tuple[float, float]:
         return 0.0, HIGHEST_PRESSURE * self.model.sensor.pneumatics.gauge_pressure_pa
@@ -248,16 +246,15 @@ SERIES: dict[str, type[Series]] = {
 """By kind of export."""
 
 
-def nodal_at(
-    view: MembraneView, displacement_m: np.ndarray, field: np.ndarray, pixels: np.ndarray
-) -> np.ndarray:
-    """Nodal field (n,) where the rays of pixels meet the deformed membrane, (k,).
+def pressure_at(view: MembraneView, estimate: Estimate, pixels: np.ndarray) -> np.ndarray:
+    """Contact pressure where the rays of pixels meet the deformed membrane, (k,), Pa.
 
     Interpolated linearly; NaN where a ray misses. `pixels` are flat indices, ascending.
     """
-    hits = view.hits(displacement_m, pixels)
+    hits = view.hits(view.motion_seen(estimate), pixels)
+    pressure = hits.values(estimate.contact_pressure_pa, view.mesh.triangles)
     values = np.full(len(pixels), np.nan)
-    values[np.searchsorted(pixels, hits.ray)] = hits.values(field, view.mesh.triangles)
+    values[np.searchsorted(pixels, hits.ray)] = pressure
     return values
 
 

@@ -15,6 +15,7 @@ from bubbleviz.camera import (
     RangeObserver,
     RayCaster,
     range_errors,
+    range_shifts,
     sparse_rows,
     vector_columns,
 )
@@ -204,7 +205,8 @@ class ImageFit:
         nodes = press.released
         hits = caster.cast(nodes)
         pixel = pixel[hits.ray]
-        by_motion = caster.slopes(nodes, hits)
+        by_motion, seen = caster.slopes(nodes, hits), rays[hits.ray]
+        by_range = range_errors(camera.T_B_C, seen, hits.range_m)
         values = hits.barycentric[:, :, None] * by_motion[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
@@ -217,7 +219,7 @@ class ImageFit:
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
-            by_image=range_errors(camera.T_B_C, rays[hits.ray], hits.range_m, by_motion),
+            by_image=np.hstack([by_range, range_shifts(camera.T_B_C, seen, by_motion)]),
             square=np.ravel_multi_index(square.T, square.max(axis=0, initial=0) + 1),
             triangles=len(np.unique(hits.triangle)),
             press=press,
