@@ -68,8 +68,8 @@ def drift_warning(errors: np.ndarray, pipeline: Pipeline, *, gas_measured: bool)
     if shift_m > limit_m and not of_depth:
         return (
             f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm since the calibration, "
-            "or turned, which looks the same; forces are corrected for it, beyond 1 mm only "
-            "roughly, poses are not. Check its mounting, and identify the sensor again"
+            "or turned, which looks the same. Forces are roughly corrected for it, positions only "
+            "if it has not turned. Check its mounting, and identify the sensor again"
         )
     if abs(drift_m) <= limit_m:
         return ""
@@ -165,13 +165,14 @@ class ImageZero:
         before = np.linalg.inv(self._walk(time_s))
         covariance = np.linalg.inv(before + np.linalg.solve(scatter, precision))
         mean = covariance @ (before @ known.mean + np.linalg.solve(scatter, weighted))
-        self._known, self._time_s = ImageErrors(mean, covariance), time_s
+        self._known = ImageErrors(mean, covariance, by_model=found.by_model)
+        self._time_s = time_s
 
     def _at(self, time_s: float) -> ImageErrors:
         """Errors expected in an image at a time."""
         known, drift = self._known, self._drift
         assert known is not None and drift is not None
-        return ImageErrors(known.mean, self._walk(time_s) + _JITTER**2 * drift.covariance)
+        return replace(known, covariance=self._walk(time_s) + _JITTER**2 * drift.covariance)
 
     def _walk(self, time_s: float) -> np.ndarray:
         """Covariance (e, e) of the errors at a time, without the scatter of its image."""

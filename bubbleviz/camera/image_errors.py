@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -61,6 +61,9 @@ class ImageErrors:
     ----------
     mean : (e,) array
     covariance : (e, e) array
+        Due to noise.
+    by_model : (e, e) array
+        Covariance due to errors of the model, which are the same in every image.
     prior : ImageErrors or None
         Distribution before the image from which this one is estimated.
     """
@@ -68,6 +71,7 @@ class ImageErrors:
     mean: np.ndarray
     covariance: np.ndarray
     prior: ImageErrors | None = None
+    by_model: np.ndarray = field(default_factory=lambda: np.zeros((len(IMAGE_ERRORS),) * 2))
 
     @cached_property
     def units(self) -> np.ndarray:
@@ -85,4 +89,14 @@ class ImageErrors:
 
     def widened(self, factor: float) -> ImageErrors:
         """The same with standard deviations times a factor."""
-        return ImageErrors(self.mean, factor**2 * self.covariance)
+        return replace(self, covariance=factor**2 * self.covariance)
+
+    def displacement_covariance(self, T_B_C: np.ndarray) -> np.ndarray:
+        """Covariance (3, 3) of the place in B of all that the camera at a pose sees, m².
+
+        Only what is unknown of the camera's shifts, not of its turns.
+        """
+        covariance = (self.covariance + self.by_model)[SHIFTS, SHIFTS]
+        across = T_B_C[:3, :2]
+        placed: np.ndarray = across @ covariance @ across.T
+        return placed

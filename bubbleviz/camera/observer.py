@@ -248,6 +248,7 @@ class RangeObserver:
         self.camera, self.mesh, self.block = camera, mesh, block
         self.columns = -(-camera.intrinsics.width // block)  # blocks in a row of the image
         self.facet_error_m = facet_error(mesh)
+        self._model_error_m = float(np.hypot(_MODEL_ERROR_M, self.facet_error_m))
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
         self._group(caster.hits_on(mesh.nodes, seen), noise_relative, pixels)
@@ -600,9 +601,19 @@ class RangeObserver:
                 block,
                 error_m,
                 weight / noise**2,
-                float(np.hypot(_MODEL_ERROR_M, self.facet_error_m)),
+                self._model_error_m,
             ),
         )
+
+    def model_errors(self, block: np.ndarray) -> np.ndarray:
+        """Errors (k, s) of blocks that a correct model leaves, by their standard deviation.
+
+        They are independent of each other: one for each square.
+        """
+        _, square = np.unique(self._squares.of_block[block], return_inverse=True)
+        errors = np.zeros((len(block), int(square.max(initial=-1)) + 1))
+        errors[np.arange(len(block)), square] = self._model_error_m
+        return errors
 
     def noise_factor(
         self,

@@ -497,9 +497,9 @@ class ContactProblem:
         return self._factor * self._pulled[self._position[nodes], :-1]
 
     def misfit_gradient(self, nodes: np.ndarray, unexplained: np.ndarray) -> np.ndarray:
-        """Gradient (s,) of the misfit by pressures of nodes (s,), for a residual (k,), 1/Pa."""
+        """Gradient (s, …) of the misfit by pressures of nodes (s,), for residuals (k, …), 1/Pa."""
         S = self._membrane.coordinates(nodes)
-        return S.T @ (self._rows.T @ (self.measurements.weight * unexplained))
+        return S.T @ (self._rows.T @ (self.measurements.weight * unexplained.T).T)
 
     def _solve_on(self, support: np.ndarray) -> tuple[np.ndarray, int, bool]:
         """Minimise without the L1 term over p ≥ 0 of the support only."""

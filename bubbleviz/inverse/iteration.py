@@ -23,6 +23,7 @@ from bubbleviz.inverse.response import Tangent
 from bubbleviz.inverse.wrench_covariance import (
     MODEL_ERROR,
     change_by,
+    image_errors_by_model,
     unit_wrenches,
     wrench_covariance,
 )
@@ -390,16 +391,23 @@ class Iteration:
             return "implausible"  # nor does the membrane at rest fit
         view, observer, mesh = observed.view, newton.observer, newton.mesh
         by_flow = contacts_seen_by_flow(pressure, mesh.rings, observed.seen_by_flow)
+        image_errors = self._image_errors(step, observed)
+        displaced = image_errors or newton.drift_prior
         return SolvedFrame(
             step,
             (self._following or observed).view,
             noise,
             observer.misfit(observed.observation, view.block, step.residual_m, noise.ranges),
             newton.contradicts(step.state.gas, self._data.gas_pa),
-            wrench_covariance(step, newton.friction, by_flow),
+            wrench_covariance(
+                step,
+                newton.friction,
+                by_flow,
+                displaced.displacement_covariance(observer.camera.T_B_C),
+            ),
             _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
             _flow_fit(step, observed.flow, noise) if by_flow.any() else None,
-            self._image_errors(step, observed),
+            image_errors,
             self._solve_ms,
         )
 
@@ -409,8 +417,12 @@ class Iteration:
         if measurements.nuisances.root[own, own].any():
             covariance = measurements.nuisance_covariance[own, own]
             hyper = step.hyperparameters
-            prior = hyper.image_errors.widened(hyper.doubt)
-            return ImageErrors(step.state.image_errors, covariance, prior)
+            prior, newton = hyper.image_errors.widened(hyper.doubt), self._newton
+            by_model = prior.by_model
+            if hyper.image_errors is newton.moved_prior:
+                model_errors = newton.observer.model_errors(observed.view.block)
+                by_model = image_errors_by_model(step, model_errors)
+            return ImageErrors(step.state.image_errors, covariance, prior, by_model)
         known = self._data.image_errors
         return None if known is self._newton.drift_prior else known
 

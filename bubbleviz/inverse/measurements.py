@@ -151,7 +151,7 @@ class Measurements:
         return np.asarray(root @ scaled @ root.T)
 
     def change_of_amplitudes(self, change: np.ndarray) -> np.ndarray:
-        """Change (a,) of the most likely amplitudes for a change (k,) of the residual."""
+        """Change (a, …) of the most likely amplitudes for changes (k, …) of the residual."""
         return self.nuisance_covariance @ (self.nuisances_weighed.T @ change)
 
     def amplitudes(self, unexplained: np.ndarray) -> np.ndarray:

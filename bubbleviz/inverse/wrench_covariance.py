@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from bubbleviz.camera import IMAGE_ERRORS
 from bubbleviz.inverse.friction import prior_scale
 from bubbleviz.inverse.gauss_newton import Step
 from bubbleviz.inverse.pivoting import part
@@ -17,7 +18,9 @@ off by 1.8 % in the median of 42 frames, and by up to 9 % if a puck is twisted b
 the same time; forces of frictionless presses by at most 1.4 %."""
 
 
-def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.ndarray:
+def wrench_covariance(
+    step: Step, friction: float, by_flow: np.ndarray, displacement: np.ndarray
+) -> np.ndarray:
     """Covariance (6, 6) of the wrench due to noise, nuisances, material and model.
 
     The support is uncertain by one node: its neighbours may touch, too. This leaves friction less
@@ -31,6 +34,8 @@ def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.nd
         Prior standard deviation of friction over pressure.
     by_flow : (n,) bool array
         Nodes whose friction optical flow sees.
+    displacement : (3, 3) array
+        Covariance of the contact's place due to a moved camera, m².
     """
     nodes, problem = step.contact.nodes, step.contact.problem
     if not len(nodes):
@@ -45,6 +50,8 @@ def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.nd
     covariance = _model_covariance(step.state.x, push, unknowns @ unit, friction * ~by_flow)
     for change in by_material:
         covariance += np.outer(change, change)
+    arm = np.cross(np.eye(3), (unknowns @ unit)[:3])
+    covariance[3:, 3:] += arm.T @ displacement @ arm
     around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
     unit = unit_wrenches(step, around)
     alone = np.eye(len(unit))[:, len(around) + np.concatenate([own for own, _ in step.scaled])]
@@ -60,10 +67,20 @@ def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.nd
     return covariance + joint[:6, :6]
 
 
+def image_errors_by_model(step: Step, errors: np.ndarray) -> np.ndarray:
+    """Covariance (e, e) of the image's errors due to errors (k, s) of the ranges."""
+    flow = len(step.measurements.error) - len(errors)
+    change = change_by(step, np.pad(errors, ((0, flow), (0, 0))))[-len(IMAGE_ERRORS) :]
+    covariance: np.ndarray = change @ change.T
+    return covariance
+
+
 def change_by(step: Step, measured: np.ndarray) -> np.ndarray:
-    """Change of pressures and amplitudes (s + a,) for a change of the measurements (k,)."""
+    """Change of pressures and amplitudes (s + a, …) for changes of the measurements (k, …)."""
     contact, count = step.contact, len(step.contact.nodes)
     by_amplitudes = step.measurements.change_of_amplitudes(measured)
+    if not count:
+        return by_amplitudes
     unexplained = measured - step.measurements.by_nuisances @ by_amplitudes
     gradient = contact.problem.misfit_gradient(contact.nodes, unexplained)
     change: np.ndarray = -contact.covariance[:, :count] @ gradient

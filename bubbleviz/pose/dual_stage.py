@@ -101,6 +101,10 @@ class Solver:
             persistent = np.linalg.inv(fit.surface + SEARCH_INFORMATION)
         else:
             motion, persistent, fit = by_image
+        unknown = motion.covariance[:6, :6] + persistent
+        if contact.image_errors is not None:
+            T_B_C = self._estimator.observer.camera.T_B_C
+            unknown[:3, :3] += contact.image_errors.displacement_covariance(T_B_C)
         found, count = directions(fit.surface, contact.radius_m), len(contact.points)
         here = about(motion.center, contact.center)
         pose = Pose(
@@ -109,7 +113,7 @@ class Solver:
             stage_one=replace(first, ms=1e3 * (between - began)),
             stage_two=replace(fit, ms=1e3 * (time.perf_counter() - between)),
             center_m=contact.center,
-            covariance=here @ (motion.covariance[:6, :6] + persistent) @ here.T,
+            covariance=here @ unknown @ here.T,
             motions=found.motions,
             deviation_m=found.deviation_m,
             determined=found.determined,

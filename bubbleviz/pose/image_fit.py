@@ -135,7 +135,8 @@ class ImageFit:
         count = np.isfinite(change).sum(axis=1)
         residual = np.nansum(change, axis=1) / np.maximum(count, 1) - predicted.at(T_B_O)
         valid = count > 0
-        residual -= predicted.by_image @ contact.image_errors
+        if contact.image_errors is not None:
+            residual -= predicted.by_image @ contact.image_errors.mean
         residual = residual[valid]
         J = predicted.slopes_at(T_B_O, contact.center)[valid]
         around = _MODEL_DEVIATION_M * J @ directions.motions[:, directions.determined]

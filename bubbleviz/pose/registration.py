@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bubbleviz.camera import IMAGE_ERRORS
+from bubbleviz.camera import ImageErrors
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
 from bubbleviz.pose.motion import Motion, motion_between, moved, rows, way_at
 from bubbleviz.result import Estimate, Patch, Stage
@@ -47,8 +47,7 @@ class ContactPoints:
     radius_m: float  # their root mean square distance from it
     rest_center: np.ndarray  # (3,), where that part of the membrane was at rest, on average
     membrane: np.ndarray  # (n, 3), all nodes of the membrane, as estimated
-    # (e,), estimated amplitudes of `IMAGE_ERRORS`; their covariance is not used: it changed no pose
-    image_errors: np.ndarray
+    image_errors: ImageErrors | None  # as estimated with them
 
     @property
     def extent_m(self) -> float:
@@ -106,7 +105,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         radius_m=float(np.sqrt(spread)),
         rest_center=share[on] @ at_rest[on] / share[on].sum(),
         membrane=membrane,
-        image_errors=np.zeros(len(IMAGE_ERRORS)) if known is None else known.mean,
+        image_errors=known,
     )
 
 

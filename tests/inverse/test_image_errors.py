@@ -2,8 +2,16 @@
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
-from bubbleviz.camera import IMAGE_ERRORS, DepthCamera, ImageErrors, MembraneView, PixelModel
+from bubbleviz.camera import (
+    IMAGE_ERRORS,
+    SHIFTS,
+    DepthCamera,
+    ImageErrors,
+    MembraneView,
+    PixelModel,
+)
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, depth_image_of, estimator, pressed
@@ -66,20 +74,27 @@ def test_force_of_a_press_with_image_errors(solver, kind, size):
     ],
 )
 def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, press, shift_m, seed):
-    """Its motion is found, and the force is right."""
+    """Its motion is found, within its uncertainty, and force and place of the contact are right."""
     T_B_C = CAMERA.T_B_C.copy()
     T_B_C[:3, 3] += T_B_C[:3, :3] @ shift_m
     camera, (mesh, contact) = DepthCamera(CAMERA.intrinsics, T_B_C), pressed(*press)
     noise_m, images = NOISE_M * np.random.default_rng(seed).standard_normal(ROWS.shape), []
     for motion in (np.zeros_like(mesh.nodes), contact.displacement_3d_m):
         images.append(camera.depth_image(MembraneView(camera, mesh).range_image(motion) + noise_m))
+    loads = np.linalg.norm(contact.nodal_force_n, axis=1)
+    true = np.average(mesh.deformed(contact.displacement_3d_m), axis=0, weights=loads)
     rest, _ = solver.estimate(images[0])
     assert rest.status == "no_contact"
     for known in (None, rest.image_errors):
         estimate, _ = solver.estimate(images[1], image_errors=known)
         error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
         assert error < estimate.force_half_width_n
-        assert estimate.image_errors.mean[4:] == pytest.approx(shift_m[:2], abs=3e-4)
+        found = estimate.image_errors
+        off_m, covariance = found.mean[SHIFTS] - shift_m[:2], found.covariance + found.by_model
+        assert off_m @ np.linalg.solve(covariance[SHIFTS, SHIFTS], off_m) < chdtri(2, 0.05)
+        weights = solver.mesh.areas * estimate.contact_pressure_pa
+        center = np.average(solver.mesh.deformed(estimate.motion_m), axis=0, weights=weights)
+        assert np.linalg.norm(center[:2] - true[:2]) < 0.3 * np.linalg.norm(shift_m)
 
 
 def test_a_known_error_that_has_gone_is_no_motion_of_the_camera(solver):

@@ -46,7 +46,7 @@ def contact_of(points, normals, free=None):
         radius_m=float(np.sqrt(np.mean(np.sum((points - center) ** 2, axis=1)))),
         rest_center=center,
         membrane=np.zeros((0, 3)),
-        image_errors=np.zeros(6),
+        image_errors=None,
     )
 
 

@@ -282,20 +282,26 @@ def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):
     assert np.linalg.norm(apart[3:]) < np.radians(0.2)
 
 
-@pytest.mark.parametrize(("scale", "offset_m"), [(1.0, 5e-4), (1.01, 0.0)])
-def test_errors_of_the_whole_image_do_not_turn_a_cross(pipeline, sensor, scale, offset_m):
-    """Its turn about the vertical follows from the image alone."""
+@pytest.mark.parametrize(
+    ("scale", "offset_m", "shift_m"), [(1.0, 5e-4, 0.0), (1.01, 0.0, 0.0), (1.0, 0.0, 2e-3)]
+)
+def test_errors_of_the_whole_image_do_not_move_a_cross(pipeline, sensor, scale, offset_m, shift_m):
+    """Its turn about the vertical, and its place, follow from the image alone."""
     truth = upright(0.003, -0.004, 0.038)
     path = np.repeat(truth[None], 2, axis=0)
     noise = DepthNoise(relative=0.002)
-    pressed = SyntheticSource(sensor, study_object("cross"), path, noise, nodes=4_000)
+    position_m = np.add(sensor.camera.position_m, (shift_m, 0.0, 0.0))
+    seen_by = changed(sensor, camera={"position_m": tuple(position_m)})
+    pressed = SyntheticSource(seen_by, study_object("cross"), path, noise, nodes=4_000)
     turned_off = np.array([2e-3, 1e-3, 0.0, 0.0, 0.0, np.radians(7.0)])
     pipeline.track(pressed.obj, moved(truth, turned_off, truth[:3, 3]))
     for frame in pressed:
         seen = replace(frame, depth_m=scale * frame.depth_m + offset_m)
         pose = pipeline.process(seen, PRODUCTS).pose
     assert pose.status == "ok"
-    assert np.degrees(abs(motion_between(truth, pose.T_B_O, truth[:3, 3])[5])) < 2.0
+    off = motion_between(pose.T_B_O, truth, pose.center_m)
+    assert np.degrees(abs(off[5])) < 2.0
+    assert np.linalg.norm(off[:2]) < 6e-4
 
 
 def test_covariance_holds_for_a_cylinder_that_tilts_onto_its_edge(sensor):
