@@ -642,10 +642,12 @@ class RangeObserver:
     ) -> ShapeRanges:
         """Model of the block residuals, linearised at a shape.
 
-        Beyond first order, which is in `image_errors`, it includes the effect of the shifts: the
-        contact is seen elsewhere by a camera that has moved.
+        Beyond first order, which is in `image_errors`, it includes the effect of shifts larger than
+        the errors of the mesh's facets: a camera that has moved sees the contact elsewhere.
         """
-        if shift_m is not None and shift_m.any():
+        if shift_m is not None and np.abs(shift_m).max() <= self.facet_error_m:
+            shift_m = None
+        if shift_m is not None:
             nodes = nodes - self.camera.T_B_C[:3, :2] @ shift_m
         if last is not None and np.array_equal(nodes, last.nodes_m):
             return last
