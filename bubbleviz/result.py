@@ -117,6 +117,8 @@ class Estimate:
     resolution_m : float or None
         Width of the response to a point load at the noise assumed by the solver, m; None for the
         paper's solver.
+    noise_factor : float
+        Residuals of the image, including errors of the model, over the noise of the sensor file.
     reason : str
         Why the numbers are not trustworthy, in one clause; empty if they are.
     averaged_pressure_pa : (n,) array or None
@@ -153,6 +155,7 @@ class Estimate:
     wrench_covariance: np.ndarray | None = None
     gas_law_pa: float | None = None
     resolution_m: float | None = None
+    noise_factor: float = 1.0
     reason: str = ""
     averaged_pressure_pa: np.ndarray | None = None
     fine: FineContact | None = None

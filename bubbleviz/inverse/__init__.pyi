@@ -63,6 +63,7 @@ from .plausibility import (
     reason_against_fit as reason_against_fit,
     reason_against_gas as reason_against_gas,
 )
+from .resolution import at_noise as at_noise
 from .response import (
     ConstantTension as ConstantTension,
     LinearisedRubber as LinearisedRubber,

@@ -330,7 +330,7 @@ class Estimator:
     def _report(self, answer: SolvedFrame, block_noise: float) -> Estimate:
         state, contact = answer.step.state, answer.step.contact
         moved = state.x - self.mesh.nodes
-        force = state.nodal_force
+        force, noise_factor = state.nodal_force, block_noise * answer.noise.ranges
         return Estimate(
             status="ok" if answer.touching else "no_contact",
             displacement_m=np.einsum("ij,ij->i", moved, self.mesh.normals),
@@ -347,7 +347,8 @@ class Estimator:
             force_n=force.sum(axis=0),
             wrench_covariance=answer.wrench_covariance,
             gas_law_pa=self.bubble.gas_at(state.x)[0],
-            resolution_m=at_noise(self.resolution_m, block_noise * answer.noise.ranges),
+            resolution_m=at_noise(self.resolution_m, noise_factor),
+            noise_factor=noise_factor,
             seen_share=answer.visible_share,
             image_errors=answer.image_errors,
             flow=answer.flow,

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bubbleviz.camera import ImageErrors
+from bubbleviz.inverse import at_noise
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, area_vectors
 from bubbleviz.pose.motion import Motion, motion_between, moved, rows, way_at
 from bubbleviz.result import Estimate, Patch, Stage
@@ -48,6 +49,7 @@ class ContactPoints:
     rest_center: np.ndarray  # (3,), where that part of the membrane was at rest, on average
     membrane: np.ndarray  # (n, 3), all nodes of the membrane, as estimated
     image_errors: ImageErrors | None  # as estimated with them
+    noise_factor: float  # of the image, as in `Estimate`, at least 1
 
     @property
     def extent_m(self) -> float:
@@ -65,7 +67,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     """Contact points of an estimate, on its finest mesh; None if there are too few for a pose."""
     friction = np.zeros_like(mesh.nodes) if estimate.friction_n is None else estimate.friction_n
     friction, membrane = friction / mesh.areas[:, None], mesh.deformed(estimate.motion_m)
-    known = estimate.image_errors
+    known, noise_factor = estimate.image_errors, max(estimate.noise_factor, 1.0)
     mesh, estimate, of_node = patch.finest(mesh, estimate)
     nodes = mesh.deformed(estimate.motion_m)
     inside = of_node > 0.0
@@ -106,6 +108,7 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
         rest_center=share[on] @ at_rest[on] / share[on].sum(),
         membrane=membrane,
         image_errors=known,
+        noise_factor=noise_factor,
     )
 
 
@@ -211,6 +214,11 @@ class Precision:
     def per_area(self) -> float:
         """1/σ² of the membrane's position along its normal per area, by all errors, 1/m⁴."""
         return 1.0 / (1.0 / self.information_per_m4 + (self.resolution_m * MODEL_ERROR_M) ** 2)
+
+    def at_noise(self, factor: float) -> Precision:
+        """In an image noisier by a factor."""
+        information = self.information_per_m4 / factor**2
+        return Precision(information, at_noise(self.resolution_m, factor))
 
     @property
     def across_edge(self) -> float:
@@ -345,7 +353,7 @@ class Registration:
         facing = np.einsum("ij,ij->i", distance.normal, contact.normals)
         used = distance.over & (facing < -_PARALLEL)
         J = -rows(distance.normal[used], contact.points[used], contact.center)
-        weight = self.precision.per_area * share_m2
+        weight = self.precision.at_noise(contact.noise_factor).per_area * share_m2
         term = _Term.of(J, distance.signed_m[used], weight[used], scale)
         # Points without an opposing face of the object count as far away.
         missed = float(weight[distance.over & (facing > _AWAY)].sum()) * scale**2
@@ -359,15 +367,16 @@ class Registration:
         at_side = (facing >= -_PARALLEL) & (facing <= _AWAY)
         used = ~distance.over | at_side
         J = -rows(distance.gradient[used], contact.points[used], contact.center)
-        weight = self.precision.across_edge * share_m2[used]
+        weight = self.precision.at_noise(contact.noise_factor).across_edge * share_m2[used]
         return _Term.of(J, distance.signed_m[used], weight, 2.0 * scale)
 
     def _free(self, contact: ContactPoints, distance: ObjectDistance) -> _Term:
         """Residuals: the free membrane is not inside the object."""
-        depth = np.minimum(distance.signed_m + _SLACK * self.precision.resolution_m, 0.0)
+        precision = self.precision.at_noise(contact.noise_factor)
+        depth = np.minimum(distance.signed_m + _SLACK * precision.resolution_m, 0.0)
         used = depth < 0.0
         J = -rows(distance.gradient[used], contact.free[used], contact.center)
-        weight = self.precision.per_area * contact.free_areas_m2[used]
+        weight = precision.per_area * contact.free_areas_m2[used]
         return _Term.of(J, depth[used], weight, 2.0 * _NARROWEST_M)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import Estimator
+from bubbleviz.inverse import Estimator, at_noise
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, RubberMembrane
 from bubbleviz.pose.dual_stage import (
     FOUND_FITNESS,
@@ -162,7 +162,8 @@ class PoseTracker:
         for other in solution.pose.others:
             if self._is_known(other) or self._looks_new(other):
                 self._rivals = np.concatenate([self._rivals, other[None]])
-        squares = contact.areas_m2.sum() / self._resolution_m**2  # with independent errors
+        resolution_m = at_noise(self._resolution_m, contact.noise_factor)
+        squares = contact.areas_m2.sum() / resolution_m**2  # with independent errors
         if len(self._waiting) and solution.fit.cost > chdtri(squares, _UNLIKELY):
             return Pose("lost", self._good, rejected=solution.fit)
         self._good = solution.pose.T_B_O

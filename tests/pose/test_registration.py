@@ -47,6 +47,7 @@ def contact_of(points, normals, free=None):
         rest_center=center,
         membrane=np.zeros((0, 3)),
         image_errors=None,
+        noise_factor=1.0,
     )
 
 
