@@ -258,6 +258,16 @@ def test_precision_is_the_worse_of_noise_and_model_error():
     assert Precision(exact.per_area, 3e-3).per_area == pytest.approx(0.5 * exact.per_area)
 
 
+def test_normals_of_a_noisier_image_tell_less(frustum):
+    """Errors of the model are then common to an area twice as wide."""
+    T, precision = pose(), Precision(1e30, 3e-3)
+    contact = on_surface(frustum, T)
+    registration, start = Registration(frustum, precision), known(T, WEAK)
+    quiet = registration.stage_one(contact, start)
+    noisy = registration.stage_one(replace(contact, noise_factor=8.0), start)
+    np.testing.assert_allclose(noisy.surface, 0.25 * quiet.surface)
+
+
 def test_initial_poses_are_independent_of_the_object_origin(frustum):
     shift = np.array([0.03, -0.02, 0.05])
     away = ObjectSurface(replace(frustum.obj, vertices=frustum.obj.vertices + shift))
