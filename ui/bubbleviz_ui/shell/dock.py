@@ -72,6 +72,8 @@ class Dock(QDockWidget):
         if self.home is not self and narrow and not self.placed:
             window.tabifyDockWidget(self.home, self)
         self._opened = self.placed = True
+        if self._above_hint is None:  # it was closed in the session, which has no height of it
+            self._above_hint = 0
         self.opened_s = time.monotonic()
         super().setVisible(visible)
         self.raise_()
