@@ -33,10 +33,7 @@ GAP = 16
 """Distance of a notice from the menus, screen pixels."""
 MOST_LINES = 2
 """Lines of a text seen without scrolling: the 3-D view keeps its height in a small window."""
-HINT = (
-    "Welcome. Drop a recording here or press Ctrl+O; Space plays, ← → step by one frame. "
-    "Ctrl+K finds all commands; hold the mouse over a control to see what it does."
-)
+HINT = "Drop a recording here or press Ctrl+O. Space plays, ← → step; Ctrl+K: all commands."
 
 
 class ScrolledText(QScrollArea):

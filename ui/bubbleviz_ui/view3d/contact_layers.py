@@ -29,6 +29,7 @@ from bubbleviz_ui.view3d.layer import (
     light_without_highlights,
 )
 from bubbleviz_ui.view3d.render_view import View
+from bubbleviz_ui.view3d.sensor_layers import CORNER
 from bubbleviz_ui.view3d.text import ColourBar, left_of_bars, set_colour, text_at, text_size, wrap
 
 
@@ -379,7 +380,7 @@ def _arrows(starts: np.ndarray, ways: np.ndarray, across: np.ndarray) -> np.ndar
 
 TEXTURE_FADE = 0.1
 """Share of the pressure scale above which the pressure colours hide the texture."""
-NOTE = 15  # px, font
+NOTE, NOTE_BOTTOM = 15, CORNER + 10  # px, font and place, above axes and scale bar
 NOTE_WIDTH = 0.9
 """Of the view's width."""
 
@@ -405,7 +406,7 @@ class TextureLayer(Layer):
         self._texture.SetRepeat(False)
         actor.SetTexture(self._texture)
         draw_in_front(actor, -30.0)
-        self._note = text_at(canvas.view, NOTE, (0.5, 0.16))  # above the scale bar
+        self._note = text_at(canvas.view, NOTE, (0.5, 0.0))
         self._note.GetTextProperty().SetJustificationToCentered()
         canvas.view.renderer.AddViewProp(self._note)
         self.actors.append(self._note)
@@ -444,6 +445,7 @@ class TextureLayer(Layer):
     def _wrap_note(self) -> None:
         view = self.canvas.view
         self._note.SetInput(self._reason)
+        self._note.GetPositionCoordinate().SetValue(0.5, NOTE_BOTTOM / view.size_px[1])
         if self._reason:
             wrap(view, self._note, self._reason, NOTE_WIDTH * view.size_px[0])
 
