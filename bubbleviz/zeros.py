@@ -67,22 +67,15 @@ def drift_warning(errors: np.ndarray, pipeline: Pipeline, *, gas_measured: bool)
     shift_m = np.hypot(by_name["shift to the right"], by_name["shift downwards"])
     if shift_m > limit_m and not of_depth:
         return (
-            f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm since the calibration, "
-            "or turned, which looks the same. Forces are roughly corrected for it, positions only "
-            "if it has not turned. Check its mounting, and identify the sensor again"
+            f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm, or turned; if it has "
+            "turned, positions are off. Check its mounting, and identify the sensor again"
         )
     if abs(drift_m) <= limit_m:
         return ""
-    cause, remedy = "", "Let the camera warm up, or identify the sensor again"
+    known = "; forces are corrected for it. Let the camera warm up, or identify the sensor again"
     if not gas_measured:
-        cause = ", or the bubble is inflated to another pressure, which was not recorded"
-        remedy = (
-            "Inflate it as in the sensor file, record the gas pressure, or let the camera warm up"
-        )
-    return (
-        f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{cause}; forces "
-        f"are corrected for drift. {remedy}"
-    )
+        known = ", or gas pressure, not recorded, differs. Record it, or let the camera warm up"
+    return f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{known}"
 
 
 class ImageZero:
