@@ -248,8 +248,8 @@ def test_steps_with_undo_and_redo_up_to_a_report_and_thresholds_that_change_only
     assert sensor.resolve(sensor.calibration.pixels_file).exists()
     written = json.loads((tmp_path / "mine_report" / "report.json").read_text())
     for finding in written["verdict"]["advice"]:
-        assert finding.replace("--vented", "step 5") in report.advice.text()
-    assert "(step 5)" in report.advice.text() and "--" not in report.advice.text()
+        assert finding.replace("--vented", "step Levels") in report.advice.text()
+    assert "(step Levels)" in report.advice.text() and "--" not in report.advice.text()
     assert (tmp_path / "mine_report" / "report.html").exists()
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
     bench.click(panel.save_as)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,6 +19,8 @@ from bubbleviz.calibration import Step, advice, parameters, sentence
 from bubbleviz.files import presets_folder
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
+from bubbleviz_ui.calibration.levels_page import RectificationPage
+from bubbleviz_ui.calibration.pixels_page import SurfacePage
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import fill, push_button
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from bubbleviz.simulation import Validation
 
 
-_STEP_OF = {"--vented": "step 5", "--level": "step 5", "--nodes": "step 3"}
-"""Step of the panel in place of each option of the command."""
+_PAGES = {"--vented": RectificationPage, "--level": RectificationPage, "--nodes": SurfacePage}
+"""Page of the panel in place of each option of the command."""
 
 
 class ReportPage(Page):
@@ -61,7 +62,9 @@ class ReportPage(Page):
             pressure = self.units.gas_pressure.text
             lines = [*advice(found, pressure), *map(_remark, parameters(found, pressure))]
         text = "\n".join(f"• {line}" for line in lines)
-        self.advice.setText(re.sub("|".join(_STEP_OF), lambda option: _STEP_OF[option[0]], text))
+        for option, page in _PAGES.items():
+            text = text.replace(option, f"step {page.name}")
+        self.advice.setText(text)
         old = answer.compared_with
         self.compared.setText(f"Before: {old.name}" if old is not None else "")
         self._show_table(comparison)
