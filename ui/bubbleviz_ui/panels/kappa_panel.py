@@ -152,6 +152,7 @@ class KappaAxisPlot(FramePlot):
         self._state, self._controller = state, controller
         self._drawn: Result | None = None
         self.line = self.add_line(bright=True, width=line_width, movable=True)  # At log10 κ
+        self.line.sigPositionChangeFinished.connect(self._on_dragged)
 
     def draw(self, _: object = None) -> None:
         """Move the line to κ without emitting its signals; hide it if κ is automatic."""
@@ -171,10 +172,8 @@ class KappaAxisPlot(FramePlot):
         """None: there is one frame only."""
         return None
 
-
-def kappa_at(line: Any) -> float:
-    """κ at the position of a line."""
-    return _to_kappa(STEPS_PER_DECADE * line.value())
+    def _on_dragged(self, line: Any) -> None:
+        self._state.change(kappa=_to_kappa(STEPS_PER_DECADE * line.value()))
 
 
 class KappaHistogram(KappaAxisPlot):
@@ -283,12 +282,7 @@ class ThresholdPanel(QWidget):
         self.histogram, self.curve = KappaHistogram(*shared), KappaPlot(*shared)
         self._host.arrange([self.histogram.item, self.curve.item])
         self.curve.box.setXLink(self.histogram.box)
-        for plot in (self.histogram, self.curve):
-            plot.line.sigPositionChangeFinished.connect(self._on_dragged)
         return [self.histogram, self.curve]
-
-    def _on_dragged(self, line: Any) -> None:
-        self._state.change(kappa=kappa_at(line))
 
     def _draw(self) -> None:
         if self._host.ready:

@@ -16,7 +16,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.model.units import UNIT_CHOICES
-from bubbleviz_ui.panels.kappa_panel import KappaPlot, kappa_at
+from bubbleviz_ui.panels.kappa_panel import KappaPlot
 from bubbleviz_ui.panels.plot_host import LEAST_HEIGHT, PlotHost
 from bubbleviz_ui.panels.time_plot import TRACES, FramePlot, TimePlot, WrenchPlot
 from bubbleviz_ui.playback.range_strip import Curve, RangeTable
@@ -160,9 +160,7 @@ class PlotsPanel(QWidget):
         if name == "wrench":
             return WrenchPlot(self._state)
         if name == "kappa":
-            curve = KappaPlot(self._state, self._controller)
-            curve.line.sigPositionChangeFinished.connect(self._on_kappa)
-            return curve
+            return KappaPlot(self._state, self._controller)
         plot = TimePlot(TRACES[name], self._state)
         plot.cursor.sigDragged.connect(self._on_dragged)
         plot.box.sigXRangeChanged.connect(self._redraw.request)
@@ -230,9 +228,6 @@ class PlotsPanel(QWidget):
 
     def _on_dragged(self, line: Any) -> None:
         self._state.seek(self._state.frame_at(line.value()))
-
-    def _on_kappa(self, line: Any) -> None:
-        self._state.change(kappa=kappa_at(line))
 
     def _on_mouse(self, place: QPointF | None) -> None:
         """Show the values under the mouse in the heading of the plot."""
