@@ -22,14 +22,13 @@ from bubbleviz_ui.files import Files
 from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.scene_presets import load_scene
-from bubbleviz_ui.model.settings import LOOPBACK, Settings
+from bubbleviz_ui.model.settings import LOOPBACK, SPEEDS, Settings
 from bubbleviz_ui.model.source_facts import SourceFacts, name_of
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.panels.view_tools_panel import VIEWS
 from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
-from bubbleviz_ui.playback.playback_panel import next_speed
 from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.shell.binding import bind, bind_exclusive, bind_membership
 from bubbleviz_ui.shell.command_palette import CommandPalette
@@ -388,7 +387,8 @@ class Menus(QObject):
 
     def _change_speed(self, direction: int) -> None:
         state = self._window.state
-        state.change(speed=next_speed(state.settings.speed, direction))
+        place = SPEEDS.index(state.settings.speed) + direction
+        state.change(speed=SPEEDS[min(max(place, 0), len(SPEEDS) - 1)])
 
     def _range_end(self, end: int) -> None:
         state = self._window.state

@@ -15,7 +15,6 @@ from PySide6.QtWidgets import (
 )
 
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.settings import SPEEDS
 from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell.binding import control
@@ -46,11 +45,6 @@ MODES = {
 """Those at the right."""
 MARGIN, SPACING = 10, 4
 """Margins of the button row, and distance between widgets, screen pixels."""
-
-
-def next_speed(speed: float, direction: int) -> float:
-    """The next faster (1) or slower (-1) playback speed."""
-    return SPEEDS[min(max(SPEEDS.index(speed) + direction, 0), len(SPEEDS) - 1)]
 
 
 class PlaybackPanel(QWidget):
