@@ -232,8 +232,8 @@ class Controller(QObject):
         self._cold_solve_timer.stop()
         self.client.request_cold_solve()
 
-    def switch_to(self, client: SensorClient) -> SensorClient:
-        """Show the other sensor of a session in the panels; returns the previous one."""
+    def switch_to(self, client: SensorClient) -> None:
+        """Show the other sensor of a session in the panels."""
         before, self.client = self.client, client
         playing, frozen = self.state.playing, self.state.frozen
         self._listen(before, on=False)
@@ -241,7 +241,6 @@ class Controller(QObject):
         self._present(playing=playing)
         self.state.freeze(frozen)
         self._request_frame()
-        return before
 
     # -- the model changed --------------------------------------------------------------------
 

@@ -41,10 +41,8 @@ class LiveController(QObject):
         self._controller, self._pair, self.state = controller, pair, controller.state
         self._undo = undo
         self._worker = Worker("live")
-        self.recording, self.publishing = (
-            Recording(self._worker, self.state.messages),
-            Publishing(self.state.messages),
-        )
+        self.recording = Recording(self._worker, self.state.messages)
+        self.publishing = Publishing(self.state.messages)
         self.connection: Connection | None = None  # While connecting
         self.run: LiveRun | None = None  # While connected
         self._marked: frozenset[int] = frozenset()
@@ -60,7 +58,6 @@ class LiveController(QObject):
         controller.shown.connect(self._on_shown)
         controller.failed.connect(self._on_failed)
         view.rendered.connect(self._on_rendered)
-        pair.failed.connect(self._on_second_failed)
         self.state.follow(RECORDING_SETTINGS, self._apply_settings)
         self.state.markers_changed.connect(self._on_markers)
 
@@ -171,9 +168,6 @@ class LiveController(QObject):
             connection.wait(5.0)
 
     # -- inside -------------------------------------------------------------------------------
-
-    def _on_second_failed(self, failed: Failed) -> None:
-        self.state.messages.add("error", failed.message, failed.details)
 
     def _on_tick(self) -> None:
         """Update the status, unless it was updated with a picture, which saves a redraw."""

@@ -17,7 +17,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.engine.worker import Worker
+from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.view3d.render_view import View
@@ -46,7 +46,6 @@ class SensorPair(QObject):
     Of a recording, and of a session that is frozen or paused, it shows the frame of the same time.
     """
 
-    failed = Signal(object)  # A `Failed` of the second sensor
     selection_changed = Signal()
 
     def __init__(self, controller: Controller, scene: Scene, view: View) -> None:
@@ -203,9 +202,12 @@ class SensorPair(QObject):
             (client.opened_source, self._on_second_open),
             (client.solved, self._on_second_solved),
             (client.paused, self._on_second_paused),
-            (client.failed, self.failed),
+            (client.failed, self._on_second_failed),
         ):
             signal.connect(slot) if on else signal.disconnect(slot)
+
+    def _on_second_failed(self, failed: Failed) -> None:
+        self._state.messages.add("error", failed.message, failed.details)
 
     def _on_second_paused(self) -> None:
         if self._follows:
