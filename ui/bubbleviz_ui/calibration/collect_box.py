@@ -39,7 +39,7 @@ class CollectBox(QGroupBox):
         self.active = False
         self._name = ""  # Of the source
         self._fits = False  # the sensor in use has matched a contact-free frame
-        self.count = QSpinBox()
+        self.count = QSpinBox(minimum=5, maximum=2000, value=100, suffix=" frames")
         self.contact_free = QCheckBox("Skip frames with contact")
         self.count.setToolTip("Number of frames to collect")
         self.button = push_button(
@@ -66,9 +66,6 @@ class CollectBox(QGroupBox):
         self._show()
 
     def _lay_out(self) -> None:
-        self.count.setRange(5, 2000)
-        self.count.setValue(100)
-        self.count.setSuffix(" frames")
         self.contact_free.setChecked(True)
         self.contact_free.setToolTip(
             "Ticked: frames in which the sensor file in use detects contact are not collected. "

@@ -20,6 +20,7 @@ from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.model.units import Unit, Units
+from bubbleviz_ui.shell.binding import options
 from bubbleviz_ui.shell.dock import fill
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
@@ -120,10 +121,8 @@ class Threshold(QHBoxLayout):
         self.changed: Callable[[float, object], None] = lambda value, gesture: None
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(0, self.STEPS)
-        self.box = QDoubleSpinBox()
+        self.box = QDoubleSpinBox(decimals=unit.digits, suffix=f" {unit.symbol}")
         self.box.setRange(0.0, unit.from_si(highest_si))
-        self.box.setDecimals(unit.digits)
-        self.box.setSuffix(f" {unit.symbol}")
         self.box.setKeyboardTracking(False)
         self.box.setSpecialValueText(lowest_text)
         for part, stretch in ((self.slider, 1), (self.box, 0)):
@@ -163,10 +162,8 @@ class SurfacePage(Page):
     def __init__(self, calibration: Calibration, units: Units) -> None:
         super().__init__(calibration, units)
         self.view = ImageView("around zero")
-        self.choice = QComboBox()
-        self.choice.addItem("automatic: best fit", None)
-        for name in SURFACE_NAMES:
-            self.choice.addItem(name, name)
+        surfaces = {None: "automatic: best fit"} | {name: name for name in SURFACE_NAMES}
+        self.choice = options(QComboBox(), surfaces)
         self.nodes = QSpinBox(minimum=30, maximum=20_000, singleStep=100)
         self.nodes.setKeyboardTracking(False)
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")

@@ -50,8 +50,7 @@ class FileField(QWidget):
     def __init__(self, title: str, kinds: str, placeholder: str = "") -> None:
         super().__init__()
         self._title, self._kinds = title, kinds
-        self.line = QLineEdit()
-        self.line.setPlaceholderText(placeholder)
+        self.line = QLineEdit(placeholderText=placeholder)
         self.browse = push_button("Browse…", title, self._browse)
         self.browse.setAutoDefault(False)
         fill(QHBoxLayout(self), (self.line, 1), self.browse, margins=(0, 0, 0, 0))

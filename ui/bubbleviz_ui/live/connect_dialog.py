@@ -42,6 +42,7 @@ from bubbleviz.sensor import Sensor, load_sensor
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import pair, single
 from bubbleviz_ui.live.live_controller import LiveController
+from bubbleviz_ui.shell.binding import options
 from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open, folder_to_open
 
@@ -97,11 +98,8 @@ class ConnectDialog(QDialog):
         self._found: LiveSource | None = None  # Whose topics are listed
         self._worker = Worker("discovery")
         self._timer = QTimer(self, interval=UPDATE_MS)
-        self.kind = QComboBox()
-        for kind, title in KINDS.items():
-            self.kind.addItem(title, kind)
-        self.place = QComboBox()
-        self.place.setEditable(True)
+        self.kind = options(QComboBox(), KINDS)
+        self.place = QComboBox(editable=True)
         self.browse = push_button("Browse…", "Choose a file", self._browse)
         self.folder = push_button(
             "Folder…", "Choose the folder of a rosbag2 recording", self._browse_folder
@@ -119,9 +117,7 @@ class ConnectDialog(QDialog):
         self.second = QLineEdit()
         self.second.setPlaceholderText("Source of a second sensor, as below; empty: one sensor")
         self.second.setToolTip("Second sensor with the same sensor file, drawn beside the first")
-        self.source = QLineEdit()
-        self.source.setReadOnly(True)
-        self.source.setFrame(False)  # to be copied, not edited
+        self.source = QLineEdit(readOnly=True, frame=False)  # to be copied, not edited
         self.source.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         colours = self.source.palette()
         colours.setColor(QPalette.ColorRole.Base, colours.color(QPalette.ColorRole.Window))

@@ -33,7 +33,7 @@ from bubbleviz_ui.model.settings import COMPARED_NAMES, PATCH_SETTINGS, Compared
 from bubbleviz_ui.model.source_facts import STATUS, force_text, friction_text
 from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.binding import bind_membership, control
+from bubbleviz_ui.shell.binding import bind_membership, control, options
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES, file_to_open
 
@@ -143,9 +143,8 @@ class OtherRecording(QWidget):
             "also with this file",
             self._choose_sensor,
         )
-        self.align = QComboBox()
-        self.align.addItem("By time", "time")
-        self.align.addItem("By first contact", "contact")
+        ways = {"time": "By time", "contact": "By first contact"}
+        self.align = options(QComboBox(), ways)
         self.start = push_button(
             "Compare",
             "Solve all frames of the open recording and of the comparison chosen above, with the "

@@ -59,11 +59,8 @@ def folder_to_open(parent: QWidget, title: str, *, of: str) -> Path | None:
 def ask_to_save(parent: QWidget, title: str, text: str) -> Answer:
     """Ask whether to save or discard unsaved work."""
     kind = QMessageBox.StandardButton
-    question = QMessageBox(parent)
-    question.setWindowTitle(title)
-    question.setText(text)
-    question.setIcon(QMessageBox.Icon.Question)
-    question.setStandardButtons(kind.Save | kind.Discard | kind.Cancel)
+    buttons = kind.Save | kind.Discard | kind.Cancel
+    question = QMessageBox(QMessageBox.Icon.Question, title, text, buttons, parent)
     question.setDefaultButton(kind.Save)
     question.button(kind.Save).setText("&Save…")
     answers: dict[int, Answer] = {kind.Save: "save", kind.Discard: "discard"}

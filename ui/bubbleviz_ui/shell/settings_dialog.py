@@ -6,12 +6,9 @@ from PySide6.QtWidgets import (
     QCheckBox,
     QDialog,
     QFormLayout,
-    QFrame,
     QHBoxLayout,
     QLabel,
     QLineEdit,
-    QPushButton,
-    QScrollArea,
     QVBoxLayout,
     QWidget,
 )
@@ -20,7 +17,7 @@ from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.undo import UndoRecorder
 from bubbleviz_ui.shell.binding import control, watch_controls
-from bubbleviz_ui.shell.dock import fill, resize_on_screen
+from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen, scrolled
 from bubbleviz_ui.shell.theme import bold
 
 SIZE = (440, 400)  # px
@@ -43,11 +40,10 @@ class SettingsDialog(QDialog):
         self.setWindowTitle("Settings")
         resize_on_screen(self, *SIZE)
         self._state, self._undo = state, undo
-        self.search = QLineEdit()
-        self.search.setPlaceholderText("Find a setting")
-        self.search.setClearButtonEnabled(True)
-        self.reset = QPushButton("&Defaults", autoDefault=False)
-        self.reset.setToolTip("Set everything listed here to its default")
+        self.search = QLineEdit(placeholderText="Find a setting", clearButtonEnabled=True)
+        tip = "Set everything listed here to its default"
+        self.reset = push_button("&Defaults", tip, self._reset)
+        self.reset.setAutoDefault(False)
         self.controls: dict[str, QWidget] = {}  # By setting
         self.form = QFormLayout()
         for title, names in SECTIONS.items():
@@ -56,7 +52,6 @@ class SettingsDialog(QDialog):
                 self._add(name)
         self._lay_out()
         self.search.textChanged.connect(self._find)
-        self.reset.clicked.connect(self._reset)
 
     def _add(self, name: str) -> None:
         self.controls[name] = box = control(self._state, name)
@@ -64,11 +59,9 @@ class SettingsDialog(QDialog):
         self.form.addRow("" if isinstance(box, QCheckBox) else label[:1].upper() + label[1:], box)
 
     def _lay_out(self) -> None:
-        inside, area = QWidget(), QScrollArea(widgetResizable=True)
+        inside, below = QWidget(), fill(QHBoxLayout(), 1, self.reset)
         inside.setLayout(self.form)
-        area.setFrameShape(QFrame.Shape.NoFrame)
-        area.setWidget(inside)
-        fill(QVBoxLayout(self), self.search, (area, 1), fill(QHBoxLayout(), 1, self.reset))
+        fill(QVBoxLayout(self), self.search, (scrolled(inside), 1), below)
         watch_controls(self)
         self.search.setFocus()
 

@@ -166,9 +166,7 @@ class ShortcutsDialog(QDialog):
         self.setWindowTitle("Keyboard shortcuts")
         resize_on_screen(self, *SIZE)
         self._shortcuts = shortcuts
-        self.search = QLineEdit()
-        self.search.setPlaceholderText("Find an action")
-        self.search.setClearButtonEnabled(True)
+        self.search = QLineEdit(placeholderText="Find an action", clearButtonEnabled=True)
         self.table = QTableWidget(len(shortcuts.actions), 2)
         self.keys = QKeySequenceEdit()
         self.keys.setToolTip("Press the new keys of the selected action here, then Set")
