@@ -205,7 +205,8 @@ class PanelWindow(QMainWindow):
         """Arrange docks for the new size."""
         super().resizeEvent(event)
         self._share_width()
-        self._restore_heights()
+        for dock in self._docks.values():
+            dock.restore_height()
         self._part_tabs()
 
     def event(self, event: QEvent) -> bool:
@@ -279,10 +280,6 @@ class PanelWindow(QMainWindow):
             self._side_width = width
         elif width > kept:
             self.resizeDocks(shown[:1], [kept], Qt.Orientation.Horizontal)
-
-    def _restore_heights(self) -> None:
-        for dock in self._docks.values():
-            dock.restore_height()
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         """Accept files."""

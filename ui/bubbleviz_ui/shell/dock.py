@@ -350,14 +350,15 @@ class BarLayout(QLayout):
         """Size of all items in one row."""
         hints = [item.sizeHint() for item in self._shown()]
         width = sum(hint.width() + self.spacing() for hint in hints)
-        return self._with_margins(QSize(width, max((hint.height() for hint in hints), default=0)))
+        height = max((hint.height() for hint in hints), default=0)
+        return QSize(width, height).grownBy(self.contentsMargins())
 
     def minimumSize(self) -> QSize:
         """Width of the widest item, and height of all rows at the present width."""
         least = QSize()
         for item in self._shown():
             least = least.expandedTo(item.minimumSize())
-        least = self._with_margins(least)
+        least = least.grownBy(self.contentsMargins())
         width = self.geometry().width()
         return QSize(least.width(), self.heightForWidth(width) if width else least.height())
 
@@ -371,10 +372,6 @@ class BarLayout(QLayout):
 
     def _shown(self) -> list[QLayoutItem]:
         return [item for item in self._items if not item.isEmpty()]
-
-    def _with_margins(self, size: QSize) -> QSize:
-        margins = self.contentsMargins()
-        return size.grownBy(margins)
 
     def _place(self, area: QRect, *, move: bool) -> int:
         """Height needed for the width of an area; with `move`, place the items there."""

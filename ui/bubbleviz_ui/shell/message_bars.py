@@ -265,11 +265,6 @@ class StepState(Enum):
     DONE = " ✓"
     NEEDS_ATTENTION = " !"
 
-    @property
-    def words(self) -> str:
-        """Text for tool tips."""
-        return self.name.replace("_", " ").lower()
-
 
 class StepButtons(QButtonGroup):
     """Exclusive buttons of the steps.
@@ -297,7 +292,7 @@ class StepButtons(QButtonGroup):
         for number, ((name, title), state) in enumerate(named):
             button = self.button(number)
             button.setText(f"{number + 1}{state.value}\n{name}")
-            button.setToolTip(f"{title}: {state.words}")
+            button.setToolTip(f"{title}: {state.name.replace('_', ' ').lower()}")
             own = QPalette()
             if state in colour:
                 own.setColor(QPalette.ColorRole.ButtonText, QColor(colour[state]))

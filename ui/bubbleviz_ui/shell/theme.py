@@ -143,7 +143,8 @@ class Style(QProxyStyle):
             _emphasise(option, default=default)
         elif element == QStyle.ControlElement.CE_MenuItem:
             _outline(option)
-            if _is_separator(option):
+            kind = getattr(option, "menuItemType", None)
+            if kind == QStyleOptionMenuItem.MenuItemType.Separator:
                 line = option.rect.adjusted(8, option.rect.height() // 2, -8, 0)
                 line.setHeight(1)
                 painter.fillRect(line, _colours(option).outline)
@@ -190,11 +191,6 @@ def _outline(option: QStyleOption) -> None:
     colours = QPalette(option.palette)
     colours.setColor(ROLES.Window, QColor(_colours(option).outline).lighter(140))
     option.palette = colours
-
-
-def _is_separator(option: QStyleOption) -> bool:
-    kind = getattr(option, "menuItemType", None)
-    return kind == QStyleOptionMenuItem.MenuItemType.Separator
 
 
 def _colours(option: QStyleOption) -> Colours:

@@ -11,7 +11,6 @@ import pyvista as pv
 from vtkmodules.vtkCommonExecutionModel import vtkAlgorithm
 from vtkmodules.vtkRenderingCore import vtkPolyDataMapper
 
-from bubbleviz.diagnostics import Probed
 from bubbleviz.membrane import MembraneMesh, level_line, midway
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.sensor import Sensor
@@ -71,10 +70,6 @@ class Surface:
         assert self._mesh is not None
         point: np.ndarray = barycentric @ self._true_m[self._mesh.triangles[triangle]]
         return point
-
-    def drawn_point(self, place: Probed) -> np.ndarray:
-        """Drawn position (3,) in B of a probed place of the membrane."""
-        return place.interpolated(self.nodes_m)
 
     def draw(self, estimate: Estimate, exaggeration: float) -> None:
         """Draw an estimate with exaggerated displacement: update the arrays in place."""

@@ -255,7 +255,7 @@ class Scene:
         if place is None or self.depth_camera is None:
             callout.hide()
         else:
-            drawn_m, camera_m = self._surface.drawn_point(place), self.depth_camera.center
+            drawn_m, camera_m = place.interpolated(self._surface.nodes_m), self.depth_camera.center
             callout.show_place(place, drawn_m, camera_m, marked=marked)
 
     def bar_at(self, x: float, y: float) -> ColourBar | None:
