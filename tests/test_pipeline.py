@@ -141,18 +141,6 @@ def test_separate_estimate_does_not_change_the_next_frame(pipeline, source):
     assert np.any(solved(PRESSED).displacement_m != then.displacement_m)  # else it is not warm
 
 
-def test_cold_solve_is_independent_of_earlier_frames(source):
-    wanted, areas = frozenset[Product]({"patch"}), []
-    for before in ((), (FREE,), range(PRESSED - 4, PRESSED)):
-        pipeline = Pipeline.of(small_sensor())
-        for index in before:
-            pipeline.process(source[index], wanted)
-        pipeline.restart()
-        patch = pipeline.process(source[PRESSED], wanted).patch
-        areas.append(patch.area_m2)
-    assert areas[0] == areas[1] == areas[2] > 0.0
-
-
 def test_another_image_size_is_refused(pipeline):
     frame = Frame(3, 0.0, np.full((10, 20), 0.1, np.float32))
     with pytest.raises(InputError, match=r"frame 3: image is 20×10 pixels .* 80×60"):

@@ -315,13 +315,6 @@ def test_single_recording_as_input(recordings):
     assert find_recordings(recordings) == [recordings]
 
 
-def test_auto_reports_recordings_that_match_no_preset(recordings, tmp_path):
-    job = Job("a", str(recordings / "a.mcap"), str(tmp_path / "a"), "auto", {})
-    row = run_job(job)
-    assert row.outcome == "bad_input"
-    assert "no preset has a camera of 56×43 pixels" in row.error
-
-
 def test_depth_topic_is_that_of_every_recording(tmp_path, sensor):
     folder, bag = tmp_path / "in", BagMaker("mcap file")
     for k, frame in enumerate(small_source(sensor)):

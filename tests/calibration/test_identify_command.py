@@ -94,7 +94,7 @@ def test_oval_sensor_with_gas_pressure_finds_contact_free_frames_with_a_reason(
     monkeypatch.setattr(Recording, "__getitem__", lambda own, k: read.update([k]) or frame(own, k))
     told = output_of("identify", recording, "--sensor", given, "--out", out, "--nodes", 300)
     assert read == dict.fromkeys(range(len(twin)), 1)  # each frame once
-    assert "Shape used: free-form" in told
+    assert "Shape used: free-form" in told and f"wrote {out}" in told
     sensor = load_sensor(out)
     assert sensor.membrane.shape == "mesh" and sensor.calibration.report is None
     assert abs(len(build_mesh(sensor).nodes) - 300) < 20

@@ -5,7 +5,6 @@ import pytest
 
 from bubbleviz.calibration import collect, collect_press, with_rubber, write_sensor
 from bubbleviz.camera import PixelModel
-from bubbleviz.errors import InputError
 from bubbleviz.files import file_hash
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
@@ -86,14 +85,6 @@ def test_gauge_pressure_from_the_press_agrees_with_that_from_its_parts(press, fo
         for frames in np.array_split(held.frames, parts):
             part = with_rubber(found, [], press=collect(press, found.given, frames.tolist()))
             assert gauge.low < part.gauge_candidates[0].value < gauge.high, frames
-
-
-@pytest.mark.long  # in short: of the twin, in test_refusals.py
-def test_recording_with_permanent_contact_is_refused(press):
-    with pytest.raises(InputError, match="pressed in by") as error:
-        identify(press, load_sensor("punyo_oval_d405"), range(73, 90))
-    column, row = (int(x) for x in str(error.value).split("(")[1].split(")")[0].split(", "))
-    assert abs(column - 259) < 15 and abs(row - 289) < 15
 
 
 def test_preset_is_of_the_real_press(punyo_press):

@@ -342,6 +342,3 @@ def test_a_pixels_file_of_another_camera_is_refused(tmp_path):
              correlated_pixels=1.0)  # fmt: skip
     with pytest.raises(InputError, match="4×4 pixels"):
         PixelModel.load(path, (171, 224))
-    path.write_bytes(b"not an archive")
-    with pytest.raises(InputError, match=r"pixels\.npz"):
-        PixelModel.load(path, (171, 224))

@@ -106,11 +106,3 @@ def test_failure_leaves_no_file(tmp_path):
     with pytest.raises(InputError, match="no frames"), RecordingWriter(tmp_path / "rec.mcap"):
         pass
     assert list(tmp_path.iterdir()) == []
-
-
-def test_an_existing_recording_is_kept(tmp_path):
-    path = tmp_path / "rec.mcap"
-    path.write_text("precious")
-    with pytest.raises(InputError, match="exists"), RecordingWriter(path):
-        pass
-    assert path.read_text() == "precious"
