@@ -187,14 +187,6 @@ def test_window_and_screenshot_start_as_told(windows, pico_recording, tmp_path, 
     assert windows.mock_calls == expected
 
 
-def test_screenshot_onto_an_existing_file_is_refused_at_once(windows, pico_recording, tmp_path):
-    out = tmp_path / "out.png"
-    out.write_text("precious")
-    refused = refusal("open", pico_recording, "--screenshot", out)
-    assert "out.png: exists already" in refused
-    assert not windows.mock_calls
-
-
 def test_a_failed_screenshot_tells_the_failure_alone(windows, pico_recording, tmp_path):
     windows.screenshot.side_effect = InputError("no such frame")
     told = refusal("open", pico_recording, "--screenshot", tmp_path / "a.png")

@@ -1,7 +1,5 @@
 """Colour and depth are paired by time stamp and a given delay."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -76,18 +74,6 @@ def test_frames_are_paired_by_stamps(lead, led_by_colour, stamped_alike):
             )
             colour = recording[k].colour
             assert colour is not None and colour.stamp_ns == recording.stamps_ns[k]
-
-
-def test_given_delay_pairs_simultaneous_frames(led_by_colour):
-    """To half a frame: the images are 2.4 frames ahead."""
-    delay_s = -2.4 * PERIOD_S
-    with Recording(led_by_colour) as recording:
-        texture = learned(recording, colour_delay_s=delay_s)
-        assert "colour delay -0.080 s" in texture.remark
-        for k in (5, 36, 40):
-            frame = replace(recording[k], colour_delay_s=delay_s)
-            assert frame.colour.stamp_ns == START + (k - 2) * PERIOD
-            np.testing.assert_allclose(errors_px(recording, texture, frame, 0.4), 0.0, atol=0.3)
 
 
 class CountedRecording(Recording):

@@ -126,16 +126,6 @@ def test_an_interior_point_certifies_the_papers_solution(sphere, gas_pa):
     assert mesh.areas @ whole == pytest.approx(mesh.areas @ exact, rel=0.005)
 
 
-def test_warm_and_cold_starts_have_the_same_solution(sphere, untouched):
-    warm, start = estimator(), None
-    for seed in range(3):
-        _, start = warm.estimate(sphere.depth(0.01, seed), start=start)
-    depth = sphere.depth(0.01, 7)
-    (a, start), b = warm.estimate(depth, start=start), first(warm, depth)
-    assert np.linalg.norm(a.force_n - b.force_n) < 0.005 * np.linalg.norm(sphere.force)
-    assert warm.estimate(untouched.depth(0.01), start=start)[0].status == "no_contact"
-
-
 def test_frame_whose_warm_start_fails_is_solved_from_rest(sphere):
     """Here it starts from a shape outside the membrane's surroundings."""
     solver = estimator(1000)

@@ -24,15 +24,11 @@ from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource
 from tests.inverse.conftest import (
-    CAMERA,
     DOME_CAMERA,
     GAUGE,
     SENSOR,
     dome_images,
-    estimator,
     fine_mesh,
-    first,
-    press,
 )
 from tests.membrane.domes import pose
 from tests.rubber_renders import rubber_truth
@@ -42,28 +38,6 @@ MESH = build_mesh(SENSOR, 2000)
 
 def overlap(a, b):
     return float(np.count_nonzero(a & b) / np.count_nonzero(a | b))
-
-
-def visible_contact(truth):
-    """Pixels that see a node in contact nearer than one that is not."""
-    touching = (truth.contact.contact_pressure_pa > 0).astype(float)
-    return MembraneView(CAMERA, truth.mesh).above(truth.contact.displacement_m, touching, 0.5)
-
-
-@pytest.mark.parametrize("name", ["sphere", "frustum", "cylinder"])
-def test_the_patch_overlaps_the_true_contact(name):
-    truth = press(name, 0.015)
-    solver = estimator(2000)
-    estimate = first(solver, truth.depth(0.01, seed=5))
-    finder = PatchFinder(solver.mesh, GAUGE, solver.resolution_m)
-    view = MembraneView(CAMERA, solver.mesh)
-    masks = [
-        view.above(estimate.displacement_m, finder.find(estimate, kappa).level, 0.0)
-        for kappa in (None, 1.0)
-    ]
-    ours, paper = (overlap(mask, visible_contact(truth)) for mask in masks)
-    assert ours > 0.7
-    assert ours > paper
 
 
 def blurred(profile, width_m, mesh=MESH):
@@ -78,15 +52,6 @@ def blurred(profile, width_m, mesh=MESH):
 
 def made_up(pressure, gas=0.0):
     return Estimate("ok", np.zeros(len(pressure)), pressure, gas, 0.0, 0.0)
-
-
-def test_force_and_centre_are_those_of_the_pressure():
-    bump = np.exp(-((np.hypot(MESH.nodes[:, 0], MESH.nodes[:, 1]) / 0.012) ** 2))
-    firm = PatchFinder(MESH, GAUGE, 0.003).find(made_up(3.0 * GAUGE * bump))
-    assert firm.area_m2 > 1e-4
-    assert firm.center_of_pressure_m[:2] == pytest.approx([0, 0], abs=5e-4)
-    force = 3.0 * GAUGE * (MESH.areas * bump) @ MESH.normals
-    assert firm.force_n == pytest.approx(-force)
 
 
 @pytest.mark.parametrize("ridge", [0.0, 10.0])

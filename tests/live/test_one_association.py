@@ -114,7 +114,9 @@ def test_point_clouds_are_the_same_depth_images_live_and_recorded(tmp_path, rows
     for k, truth in enumerate(truths):
         stamp, points = NOW + k * PERIOD, rays * truth[..., None]
         if not rows:
-            points = random.permutation(np.concatenate([points, 1.5 * points]).reshape(-1, 3))
+            away = [[0.3, 0.0, 0.1], [0.0, -0.3, 0.1]], -points[0, :2]  # beside the image, behind
+            points = np.concatenate([points, 1.5 * points]).reshape(-1, 3)
+            points = random.permutation(np.concatenate([points, *away]))
         shape = (HEIGHT, WIDTH) if rows else (1, len(points))
         clouds.append(arrived("/tof/points", CLOUD, cloud(stamp, points, *shape), stamp))
         infos.append(arrived("/tof/camera_info", INFO, camera_info(stamp), stamp))

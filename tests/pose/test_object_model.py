@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 
-from bubbleviz.errors import InputError
-from bubbleviz.membrane import ObjectSurface, build_mesh
-from bubbleviz.pose import check_size, contact_samples, object_distance, touching_directions
+from bubbleviz.membrane import ObjectSurface
+from bubbleviz.pose import contact_samples, object_distance, touching_directions
 from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import study_object
 
 
@@ -51,22 +49,6 @@ def test_samples_are_on_the_surface_and_spread():
     assert np.allclose(np.linalg.norm(normals, axis=2), 1.0)
     expected = model.area_m2 / 2e-3**2
     assert expected < len(points) < 3.0 * expected
-
-
-def test_a_mesh_without_area_is_refused():
-    line = RigidObject(
-        "line", np.array([[0.0, 0, 0], [0.01, 0, 0], [0.02, 0, 0]]), np.array([[0, 1, 2]])
-    )
-    with pytest.raises(InputError, match="object line: its triangles have no area"):
-        ObjectSurface(line)
-
-
-def test_millimetres_taken_for_metres_are_refused():
-    mesh = build_mesh(load_sensor("pico_flexx_75mm"))
-    obj = study_object("frustum")
-    check_size(obj, mesh)
-    with pytest.raises(InputError, match="if it is in millimetres"):
-        check_size(RigidObject("big", 1e3 * obj.vertices, obj.triangles), mesh)
 
 
 @pytest.mark.parametrize("name", ["cross", "two_legged_toy", "hex_nut", "bridge"])

@@ -82,13 +82,6 @@ def test_first_message_that_is_no_depth_image(tmp_path, add, says):
     assert all(word in told for word in says)
 
 
-def test_unknown_distortion(tmp_path):
-    bag = BagMaker("mcap file")
-    bag.image(START, depth_image(0))
-    bag.camera_info(START, model="equidistant", d=[0.1, 0.0, 0.0, 0.0])
-    assert "equidistant" in refusal(bag.write(tmp_path))
-
-
 @pytest.mark.parametrize("kind", ["mcap file", "mcap messages", "db3 file", "bag lz4"])
 @pytest.mark.parametrize("bad", [0, 2])
 def test_a_message_without_an_image_is_a_frame_without_data(tmp_path, kind, bad):

@@ -5,10 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bubbleviz.camera import Intrinsics
 from bubbleviz.recordings import decode_cloud
 
-CAMERA = Intrinsics(5, 4, 6.0, 7.0, 2.0, 1.5)
 POINTS = np.random.default_rng(0).uniform(0.1, 0.2, (4, 5, 3))
 
 
@@ -50,23 +48,6 @@ def test_invalid_depths_are_missing_returns():
     decoded = decode_cloud(cloud(points), None)
     assert np.isnan(decoded[0, :4]).all() and np.isfinite(decoded[0, 4])
     np.testing.assert_array_equal(decoded[1:], points[1:, :, 2].astype(np.float32))
-
-
-@pytest.mark.parametrize("kind", ["<f4", "<f8"])
-def test_unorganised_points_are_projected_by_the_camera(kind):
-    """The nearest of those that meet in a pixel; none outside the image or behind it."""
-    rows, columns = np.indices((4, 5))
-    z = np.random.default_rng(2).uniform(0.1, 0.2, (4, 5)).astype(np.float32).astype(float)
-    at = np.stack([(columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy], axis=-1)
-    image = np.dstack([at * z[..., None], z])
-    image[2, 3] = np.nan  # a hole
-    behind, outside = -image[:1, :2], np.array([[[0.3, 0.0, 0.1], [0.0, -0.3, 0.1]]])
-    farther = 1.4 * image
-    points = np.concatenate([p.reshape(-1, 3) for p in (farther, image, farther, behind, outside)])
-    offsets = (0, 8, 16) if kind == "<f8" else (0, 4, 8)
-    decoded = decode_cloud(cloud(points[None], kind=kind, offsets=offsets), CAMERA)
-    expected = np.where(np.isnan(image[..., 2]), np.nan, z)
-    np.testing.assert_allclose(decoded, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

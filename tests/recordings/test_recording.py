@@ -87,13 +87,6 @@ def test_compressed_depth_that_cannot_be_read_is_refused(tmp_path, cut, more, sa
         Recording(path)
 
 
-def test_index_out_of_range_raises_index_error(press):
-    with Recording(press) as recording:
-        for k in (-1, 6, 10**6):
-            with pytest.raises(IndexError):
-                recording[k]
-
-
 def test_a_bag_split_over_files_is_one_recording(tmp_path):
     for part in (1, 0):
         bag = BagMaker("mcap file")

@@ -28,10 +28,6 @@ def test_noise_matches_the_camera_and_differs_in_every_loop(rounds):
         assert abs(np.corrcoef((a - a.mean()).ravel(), (b - b.mean()).ravel())[0, 1]) < 0.1
 
 
-def test_a_frame_shown_again_has_the_same_result(rounds):
-    np.testing.assert_array_equal(rounds[1].depth_m, rounds[1].depth_m)
-
-
 def test_a_frame_is_simulated_once_and_without_noise_of_loops_is_the_same(rounds):
     read = list[int]()
 

@@ -1,7 +1,6 @@
 """TRUTH.npz is read back with its recording, or refused with the reason."""
 
 import shutil
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -11,11 +10,8 @@ from bubbleviz.api.simulating import Simulation
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
 from bubbleviz.simulation import (
-    HasTruth,
     RecordingWithTruth,
-    Truth,
     read_truth,
-    truth_of,
     with_truth_file,
 )
 
@@ -32,20 +28,6 @@ def folder(source, tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulated")
     Simulation(source).save(folder / "sim.mcap", folder / "truth.npz")
     return folder
-
-
-def test_ground_truth_of_every_frame_is_read_back(folder, source):
-    known = RecordingWithTruth(Recording(folder / "sim.mcap"), folder / "truth.npz")
-    assert isinstance(known, HasTruth) and len(known) == FRAMES
-    for index in range(FRAMES):
-        truth, expected = truth_of(known, index), source.truth(index)
-        for field in fields(Truth):
-            np.testing.assert_array_equal(
-                getattr(truth, field.name), getattr(expected, field.name), err_msg=field.name
-            )
-        assert known[index].index == index
-    assert known.truth(0).patch_mask.sum() == 0 < known.truth(2).patch_mask.sum()
-    known.close()
 
 
 def test_ground_truth_of_the_same_name_is_found_and_a_result_file_is_not(folder, tmp_path):
