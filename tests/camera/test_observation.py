@@ -67,18 +67,6 @@ def test_walking_and_ray_casting_find_the_same_triangles(depth_m):
     assert np.max(np.abs(fresh.range_m[a] - walked.range_m[b])) < 1e-5
 
 
-def test_model_by_walking_equals_model_by_ray_casting():
-    observer = RangeObserver(CAMERA, MESH, 0.01, block=3)
-    before, after = (MESH.deformed(smooth_dent(each)) for each in (0.008, 0.0085))
-    old, fresh = observer.around(before), observer.around(after)
-    walked = observer.around(after, old)
-    assert np.abs(walked.model_m - fresh.model_m).max() < 1e-6
-    assert np.abs(old.model_m - fresh.model_m).max() > 3e-4
-    assert walked.cast_at_m is old.cast_at_m  # it was not cast again
-    far = observer.around(MESH.deformed(smooth_dent(0.012)), old)
-    assert far.cast_at_m is not old.cast_at_m
-
-
 def test_the_operators_reproduce_points_and_differences():
     base = smooth_dent(0.01)
     hits = cast(base)

@@ -14,7 +14,7 @@ from PIL import Image
 import bubbleviz as bv
 from bubbleviz.progress import Cancelled
 from bubbleviz.recordings import Recording, RecordingWriter
-from tests.program import MAIN, output_of, python, refusal, rows_of, run
+from tests.program import MAIN, output_of, python, rows_of, run
 
 SERIES = "vtk,ply,patch,png"
 ALL = f"table,parquet,plots,{SERIES}"
@@ -232,17 +232,6 @@ def test_cancelled_export_leaves_no_files(tmp_path, press, sensor):
     with pytest.raises(Cancelled):
         bv.export(bv.open(press), tmp_path / "x", sensor, what="vtk,table", progress=stop)
     assert not list(tmp_path.iterdir())
-
-
-def test_unreadable_frame_leaves_no_files(tmp_path, sensor, press):
-    cut = tmp_path / "cut.mcap"
-    raw = bytearray(press.read_bytes())
-    middle = len(raw) // 2
-    raw[middle : middle + 2000] = bytes(2000)
-    cut.write_bytes(raw)
-    words = ("--sensor", sensor, "--out", tmp_path / "x", "--what", "vtk,table")
-    assert "cut.mcap" in refusal("export", cut, *words)
-    assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
 
 
 def test_every_command_reports_a_truncated_recording(press, sensor, tmp_path):

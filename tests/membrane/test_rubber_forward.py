@@ -248,17 +248,6 @@ def test_newton_converges_quadratically_on_a_curved_object():
     assert contact.iterations < 30
 
 
-def test_a_press_takes_few_factorisations():
-    """By line search, second-order correction and stopping rule: 66 in total."""
-    model, count = forward(300, 1.2), 0
-    for name in ("sphere", "cylinder", "hex_nut", "torus", "frustum"):
-        for x, depth in ((0.004, 0.004), (0.010, 0.009)):
-            contact = model.press(load_object(name), pose(x, 0.0, H - depth))
-            assert_equilibrium(contact)
-            count += contact.iterations
-    assert count < 75
-
-
 def test_without_the_linear_model_the_object_approaches_from_outside():
     """A ring pressed deep at the side: Newton's method from the linear equilibrium diverges."""
     model = forward(200, 1.5)

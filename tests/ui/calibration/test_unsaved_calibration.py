@@ -63,7 +63,9 @@ def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor,
     assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
-def test_a_saved_sensor_is_used_by_its_file(drive, folder, tmp_path):
+def test_a_saved_sensor_is_used_by_its_file_and_of_it_nothing_is_asked(
+    drive, folder, tmp_path, monkeypatch
+):
     bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
     bench.identify()
     bench.step(len(bench.panel.pages) - 1)
@@ -77,6 +79,12 @@ def test_a_saved_sensor_is_used_by_its_file(drive, folder, tmp_path):
     (tmp_path / "mine.toml").unlink()
     bench.click(bench.panel.use)
     bench.wait(lambda: "not saved" in bench.window.windowTitle())
+    monkeypatch.setattr(calibration_panel, "new_file", lambda *_, **__: (folder / "own.toml", ""))
+    bench.click(bench.panel.save_as)
+    bench.wait(lambda: "– own (" in bench.window.windowTitle())  # and opened again from its file
+    assert "not saved" not in bench.window.windowTitle()
+    bench.window.files.open(folder / "other.mcap")
+    bench.wait(lambda: bench.state.facts.title == "other.mcap")
 
 
 def test_identification_survives_close_and_another_recording_asks_to_save_it(
@@ -138,18 +146,3 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     bench.wait(lambda: released(samples))
     window.close()  # no question
     assert not window.isVisible()
-
-
-@pytest.mark.long
-def test_no_question_about_a_saved_identification(drive, folder, monkeypatch):
-    bench = Bench(drive(Source.of_recording(folder / "rest.mcap")))
-    bench.identify()
-    bench.step(len(bench.panel.pages) - 1)
-    bench.click(bench.panel.use)
-    bench.wait(lambda: "(not saved)" in bench.window.windowTitle())
-    monkeypatch.setattr(calibration_panel, "new_file", lambda *_, **__: (folder / "mine.toml", ""))
-    bench.click(bench.panel.save_as)
-    bench.wait(lambda: "– mine (" in bench.window.windowTitle())  # and opened again from its file
-    assert "not saved" not in bench.window.windowTitle()
-    bench.window.files.open(folder / "other.mcap")
-    bench.wait(lambda: bench.state.facts.title == "other.mcap")

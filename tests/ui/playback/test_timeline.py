@@ -202,8 +202,15 @@ def test_repeated_replay_is_drawn_lap_after_lap():
 
 
 def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
-    driver = drive(frame=30)  # 30 Hz
+    driver, plain = drive(frame=30), Qt.KeyboardModifier.NoModifier  # 30 Hz
+    last = driver.state.facts.frames - 1
     for which, modifier, frame in (
+        (Qt.Key.Key_End, plain, last),
+        (Qt.Key.Key_Left, plain, last - 1),
+        (Qt.Key.Key_Home, plain, 0),
+        (Qt.Key.Key_Right, plain, 1),
+        (Qt.Key.Key_Right, CTRL, 31),
+        (Qt.Key.Key_Left, plain, 30),
         (Qt.Key.Key_Right, SHIFT, 33),
         (Qt.Key.Key_Right, CTRL, 63),
         (Qt.Key.Key_Left, CTRL, 33),
@@ -225,6 +232,23 @@ def test_keys_and_buttons_step_in_time_and_set_speed_mode_and_loop(drive):
     assert driver.state.settings.every_frame and panel.mode.currentText() == "every frame"
     driver.key(Qt.Key.Key_L)
     assert not driver.state.settings.loop and not panel.buttons["Loop"].isChecked()
+    # the play button plays and pauses, and the numbers follow
+    played, box = list[int](), driver.window.layers.boxes["wireframe"]
+    driver.state.frame_changed.connect(lambda index, _: played.append(index))
+    driver.state.change(speed=0.5, every_frame=False)
+    driver.click(panel.buttons["Play / pause"])
+    driver.wait(lambda: len(played) > 8)
+    driver.click(panel.buttons["Play / pause"])
+    assert not driver.state.playing and played == sorted(set(played))  # never backwards
+    driver.wait_until_shown()
+    for label in (driver.window.status.labels["frame"], panel.readout):
+        assert label.text().startswith(f"frame {driver.result.frame.index} of 0–{last}")
+    box.setFocus()  # as by Tab
+    driver.bot.keyClick(box, Qt.Key.Key_Space)
+    assert box.isChecked() and not driver.state.playing
+    driver.key(Qt.Key.Key_Space)
+    assert driver.state.playing
+    driver.window.close()  # stops everything
 
 
 def test_every_frame_mode_waits_for_the_solver_else_the_drawn_frame_is_indicated(drive, sensor):

@@ -34,7 +34,7 @@ from bubbleviz_ui.pose.pose_panel import Curves
 from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, NEUTRAL, OBJECT_PATCH
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.object_layers import FitLayer
-from tests.small_press import changed
+from tests.small_press import changed, coarser
 
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5
@@ -48,9 +48,7 @@ def source():
     T = np.eye(4)
     T[:3, 3] = TRUE
     preset = load_sensor("pico_flexx_75mm")
-    half = {"width": 112, "height": 86, "cx": 55.5, "cy": 42.5}
-    half |= {name: getattr(preset.camera, name) / 2 for name in ("fx", "fy")}
-    sensor = changed(preset, camera=half, membrane={"nodes": 400})
+    sensor = changed(preset, camera=coarser(preset, 2), membrane={"nodes": 400})
     poses = np.repeat(T[None], FRAMES, axis=0)
     noise = DepthNoise(relative=0.005)
     return SyntheticSource(sensor, load_object("frustum"), poses, noise, nodes=3_000)

@@ -3,9 +3,11 @@
 from fakes import DentSource
 from PySide6.QtCore import QSizeF, Qt, QUrl
 from PySide6.QtGui import QTextDocument
+from PySide6.QtWidgets import QMessageBox
 from small_press import write_press
 from window_driver import clipboard_text
 
+import bubbleviz
 from bubbleviz.api.frames import info
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, PagesDialog
@@ -62,6 +64,11 @@ def test_information_and_documentation_dialogs(drive, sensor, tmp_path):
     driver.type(dialog.search, "no page has wxyz")
     assert dialog.missed.text() == "not found"
     dialog.close()
+    driver.trigger("Help › About bubbleviz")
+    (about,) = driver.window.findChildren(QMessageBox)
+    assert bubbleviz.__version__ in about.text() and "Qt 6" in about.informativeText()
+    assert driver.window.view.quality.text in about.informativeText()
+    about.accept()
 
 
 def images(page):
