@@ -88,11 +88,6 @@ def test_result_has_the_time_of_its_image(frames, estimator):
     assert np.isnan(bv.estimate(frames[0], estimator.solver.pipeline.model.sensor).age_s)
 
 
-def test_covered_camera_gives_a_status_and_no_numbers(estimator):
-    found = estimator.update(np.zeros(SHAPE))
-    assert found.status == "no_data" and np.isnan(found.force_n).all()
-
-
 def test_gas_pressure_is_zeroed_on_contact_free_images(frames, sensor):
     """Another day's weather, 800 Pa less, is neither contact nor force."""
     estimator, free, pressed = bv.Estimator(sensor), frames[0], frames[2]

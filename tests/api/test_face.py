@@ -608,11 +608,3 @@ def test_blas_threads_are_limited_during_a_call_and_restored_after(call, sensor,
             bv.estimate(press, sensor)
         after = blas_threads()
     assert source.seen == {1} and after == {2}
-
-
-def test_readme_example_gives_the_force_of_the_real_press(punyo_press):
-    run = bv.estimate(bv.open(punyo_press)[60:90:2], sensor="auto")
-    force = np.linalg.norm(run.force_n, axis=1)
-    assert run.status[0] == "no_contact" and run[10].status == "ok"
-    assert np.median(force[10:]) == pytest.approx(3.0, abs=0.3)  # what the README prints
-    assert run[10].index == 80

@@ -79,11 +79,6 @@ def test_report_is_self_contained(made):
     assert {"bubbleviz", "numpy", "python"} <= set(numbers["versions"])
 
 
-def test_verdict_is_printed(made):
-    advice = " ".join(made[1]["verdict"]["advice"])
-    assert "Shape used: sphere" in advice and "has a gas pressure" in advice
-
-
 def test_oval_sensor_with_gas_pressure_finds_contact_free_frames_with_a_reason(
     tmp_path, monkeypatch
 ):

@@ -201,10 +201,3 @@ def test_command_takes_further_levels(tmp_path):
     told = output_of("identify", rest, *words, "--level", level, "--level-sigma", 20, "--json")
     assert json.loads(told)["rectification"]["levels"] == 2
     assert PixelModel.load(tmp_path / "new.npz").line.levels == 2
-
-
-def test_invalid_pressed_frames_are_refused_and_leave_no_files(pressed, tmp_path):
-    before = sorted(tmp_path.iterdir())
-    words = (*pressed, 150, "--pose", "0 0 0.05 0 0 0 1", "--pressed", "90:99")
-    assert "outside its 16" in refusal(*words)
-    assert sorted(tmp_path.iterdir()) == before

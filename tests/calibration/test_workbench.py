@@ -82,23 +82,6 @@ def test_only_requested_steps_are_computed(bench, step, known):
     assert not found.complete
 
 
-def test_removing_and_restoring_frames_gives_the_same_result(bench):
-    whole = bench.work(full(ranges=((0, 20),)))
-    less = bench.work(full(ranges=((0, 8), (12, 20))))
-    assert less.samples.frames == (*range(8), *range(12, 20))
-    assert less.tension.value != whole.tension.value
-    reads = bench.source.reads
-    again = bench.work(full(ranges=((0, 20),)))
-    assert again.surfaces is whole.surfaces and bench.source.reads == reads
-
-
-def test_threshold_recomputes_only_the_pixel_step(bench):
-    before = bench.work(full())
-    after = bench.work(full(deviations=1.0))
-    assert after.surfaces is before.surfaces
-    assert after.pixels.mask.sum() < before.pixels.mask.sum()
-
-
 def test_step_cancelled_anywhere_can_be_repeated(bench, dome):
     calls, shares = 0, []
 

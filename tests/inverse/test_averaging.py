@@ -15,7 +15,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, touching_height
-from tests.small_press import changed
+from tests.small_press import changed, record
 
 PRODUCTS = frozenset({"estimate", "patch"})
 WHITE, CORRELATED = DepthNoise(relative=0.01), DepthNoise(relative=0.01, correlation_px=3.0)
@@ -225,10 +225,7 @@ def test_the_estimator_averages_live_images_of_an_object_at_rest():
 
 
 def test_estimates_of_a_recording_say_how_many_images_they_are_of(tmp_path):
-    simulated = bv.simulate(
-        sensor(), "sphere", "0 0 0.03 0 0 0 1", frames=9, noise_relative=0.01, seed=1
-    )
-    simulated.save(tmp_path / "press.mcap")
+    record(tmp_path / "press.mcap", noisy((6.0,) * 9))
     run = bv.estimate(tmp_path / "press.mcap", sensor(), out=tmp_path / "result.npz")
     found = run.columns()["images"]
     assert found.max() > 1

@@ -18,7 +18,7 @@ from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, FrameHistor
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
-from bubbleviz_ui.playback.timeline import RULER, Timeline, columns
+from bubbleviz_ui.playback.timeline import RULER, Timeline
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.colours import rgb
 
@@ -347,16 +347,6 @@ def test_absurd_duration_is_drawn_with_a_few_time_labels(qtbot, monkeypatch):
     monkeypatch.setattr(QPainter, "drawText", lambda painter, place, text: drawn.append(text))
     timeline.grab()
     assert 1 < len(drawn) < 20
-
-
-def test_one_contact_frame_is_never_lost_among_thousands():
-    contact = np.full(36_000, FREE, np.int8)
-    contact[12_345] = CONTACT
-    frame = np.arange(36_000)
-    axis = TimeAxis(frame / 30.0 + 900.0 * (frame > 20_000))
-    for width in (100, 777, 1000):
-        assert np.count_nonzero(columns(contact, axis, width) == CONTACT) == 1
-    assert list(columns(np.array([0, 1], np.int8), TimeAxis(np.arange(2.0)), 4)) == [0, 0, 1, 1]
 
 
 def test_missing_frames_depend_on_the_requested_products():
