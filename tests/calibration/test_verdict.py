@@ -174,19 +174,15 @@ def test_the_interval_of_a_low_gauge_pressure_shows_its_ends(ball):
     assert parameters(usual)[1]["value"] == "5257 Pa, 95 % interval 5253 Pa to 5261 Pa"
 
 
-def test_stiffness_gradients_are_shown_with_their_sign(ball):
-    along_x = Quantity.normal(-0.12, 0.05, "levels")
-    row = parameters(replace(ball, rubber={"stiffness_gradient_x": along_x}))[-1]
-    assert row["name"] == "stiffness gradient x"
-    assert row["value"] == "-0.12, 95 % interval -0.22 to -0.02"
-
-
-def test_stress_that_shape_leaves_open_has_a_row_where_it_is_known(ball):
-    along = Quantity.normal(0.08, 0.1, "levels")
-    row = parameters(replace(ball, rubber={"unequal_tension_x": along}, shapes_kind="levels"))[-1]
-    assert row["name"] == "unequal tension x"
-    assert row["value"] == "0.08, 95 % interval -0.12 to 0.28"
-    assert row["source"] == "levels" and "steep domes only" in row["improvement"]
+def test_what_is_known_along_x_has_a_row_with_its_sign(ball):
+    for name, value, sigma, shown in (
+        ("stiffness gradient x", -0.12, 0.05, "-0.12, 95 % interval -0.22 to -0.02"),
+        ("unequal tension x", 0.08, 0.1, "0.08, 95 % interval -0.12 to 0.28"),
+    ):
+        rubber = {name.replace(" ", "_"): Quantity.normal(value, sigma, "levels")}
+        row = parameters(replace(ball, rubber=rubber, shapes_kind="levels"))[-1]
+        assert (row["name"], row["value"], row["source"]) == (name, shown, "levels")
+    assert "steep domes only" in row["improvement"]
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from bubbleviz.camera import MembraneView
+from bubbleviz.errors import InputError
 from bubbleviz.membrane import ObjectSurface, build_mesh
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import looking_different, motion_between, moved
@@ -334,3 +335,9 @@ def test_covariance_holds_for_a_box_that_touches_with_an_edge(sensor):
         assert pose.status == "ok"
         off = motion_between(T, pose.T_B_O, pose.center_m)
         assert off @ np.linalg.solve(pose.covariance, off) < chdtri(6, 0.05)
+
+
+def test_an_object_in_millimetres_is_refused(pipeline):
+    obj = study_object("frustum")
+    with pytest.raises(InputError, match="millimetres"):
+        pipeline.track(RigidObject("big", 1e3 * obj.vertices, obj.triangles))

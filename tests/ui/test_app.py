@@ -137,18 +137,6 @@ def test_ctrl_c_while_drawing_exits_cleanly(pictures):
 
 
 @pytest.mark.long
-def test_ctrl_c_while_opening_exits_cleanly():
-    printed = in_window("""
-    os.kill(os.getpid(), signal.SIGINT)
-    try:
-        session.wait_for(lambda: False, "nothing")
-    except KeyboardInterrupt:
-        print("ended")
-    """)
-    assert printed == "ended\n"
-
-
-@pytest.mark.long
 def test_ctrl_c_during_imports_exits_cleanly():
     done = run_python("""
 import os, signal

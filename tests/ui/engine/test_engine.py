@@ -299,37 +299,32 @@ def test_garbage_of_another_thread_is_collected_in_the_gui_thread(wait):
     assert set(gone_in) == {threading.get_ident()}
 
 
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc is asked to")
-def test_unused_memory_is_returned_to_the_system():
-    done = run_python("""
-import numpy as np
-from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.engine.upkeep import release_memory, resident_mib
-before = resident_mib()
-pieces = [np.ones(100 << 10, np.uint8) for _ in range(1500)]  # too small for memory of their own
-last = pieces[-1]  # keeps the heap from shrinking
-del pieces
-held = resident_mib()
-release_memory()
-print(held - before, resident_mib() - before)
-""")
-    held, kept = map(float, done.stdout.split())
-    assert held > 100.0
-    assert kept < 30.0
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc is asked to")
-def test_freed_large_blocks_are_returned_at_once():
-    done = run_python("""
-import numpy as np
-from bubbleviz_ui.engine.upkeep import limit_heaps, resident_mib
+LARGE = """
 limit_heaps()
 np.ones(24 << 20, np.uint8)  # by default, blocks up to this size would share a heap from now on
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only glibc is asked to")
+@pytest.mark.parametrize(
+    ("first", "kib", "after"),
+    [("", 100, "release_memory()"), (LARGE, 6 << 10, "")],
+    ids=["too small for memory of their own", "large"],
+)
+def test_freed_blocks_are_returned_to_the_system_on_request_and_large_ones_at_once(
+    first, kib, after
+):
+    done = run_python(f"""
+import numpy as np
+from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.engine.upkeep import limit_heaps, release_memory, resident_mib
+{first}
 before = resident_mib()
-stacks = [np.ones(6 << 20, np.uint8) for _ in range(20)]
-last = stacks.pop()  # keeps the heap from shrinking
+blocks = [np.ones({kib} << 10, np.uint8) for _ in range(150_000 // {kib})]
+last = blocks.pop()  # keeps the heap from shrinking
 held = resident_mib()
-del stacks
+del blocks
+{after}
 print(held - before, resident_mib() - before)
 """)
     held, kept = map(float, done.stdout.split())

@@ -3,6 +3,7 @@
 import os
 import signal
 import threading
+from contextlib import contextmanager
 from multiprocessing import active_children
 
 import numpy as np
@@ -42,14 +43,35 @@ def none_left():
     return not active_children() and not in_use()
 
 
-def test_cancelled_wait_does_not_count_as_a_paused_source(sensor):
-    demand, solver = Demand(frozenset({"cloud"})), Solver()
-    stream = open_stream("synthetic:?rate=100&frames=2", sensor)
-    frames = LiveFrames("press", stream, PressureZero(sensor.pneumatics.reference_pressure_pa))
-    with stream:
+@contextmanager
+def opened(sensor, demand, *, zero_pa=0.0, paired=False):
+    """A solver and the live frames that it has open."""
+    zero, solver = PressureZero(sensor.pneumatics.reference_pressure_pa), Solver()
+    zero.restore(zero.reference_pa + zero_pa, waiting=False)
+    with open_stream("synthetic:?rate=100&frames=2", sensor) as stream:
+        frames = LiveFrames("press", stream, zero, paired=paired)
         first = stream.first_frame()
         frames.begin(first.arrival_ns, first)
-    solver.open(OpenRequest(Source.of_stream(frames), lambda: sensor, 0, demand))
+        solver.open(OpenRequest(Source.of_stream(frames), lambda: sensor, 0, demand))
+        yield solver, frames
+
+
+def test_a_solver_process_gets_zeroed_frames_and_ends_with_its_source(sensor):
+    demand, solved = Demand(frozenset({"patch"})), None
+    with opened(sensor, demand, zero_pa=40.0, paired=True) as (solver, frames):
+        beside = solver.current.solver_process
+        while beside.pid is None or solved is None:
+            solved = solver.newest(demand, lambda: False)
+        frame = solved.result.frame
+        assert frame.gas_pressure_pa == frames[frame.index].gas_pressure_pa - 40.0
+        solver.close()
+    assert none_left()
+
+
+def test_cancelled_wait_does_not_count_as_a_paused_source(sensor):
+    demand = Demand(frozenset({"cloud"}))
+    with opened(sensor, demand) as (solver, _):
+        pass
     while solver.newest(demand, lambda: False) is not None:  # frames that arrived before the end
         pass
     with pytest.raises(Deferred):
