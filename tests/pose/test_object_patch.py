@@ -11,9 +11,9 @@ from bubbleviz.pose import ObjectPatchFinder
 from bubbleviz.result import Pose
 from bubbleviz.sensor import load_sensor
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object
+from bubbleviz.simulation import DepthNoise, study_object
 from tests.membrane.domes import pose
-from tests.small_press import changed
+from tests.small_press import HeldPress, changed
 
 RADIUS_M = 0.012  # of the cylinder's flat face
 
@@ -32,7 +32,7 @@ def model():
 def source(model):
     noise = DepthNoise(relative=0.005)
     poses = np.repeat(upright()[None], 3, axis=0)
-    return SyntheticSource(model.sensor, study_object("cylinder"), poses, noise, model="linear")
+    return HeldPress(model.sensor, study_object("cylinder"), poses, noise, model="linear")
 
 
 @pytest.fixture(scope="module")

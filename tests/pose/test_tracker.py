@@ -17,7 +17,7 @@ from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object, touching_height
 from tests.membrane.domes import pose as upright
-from tests.small_press import changed
+from tests.small_press import HeldPress, changed
 
 PRODUCTS = frozenset({"pose"})
 FRAMES = 6
@@ -84,7 +84,7 @@ def test_tracking_loss_and_recovery(pipeline, source):
 def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
     here, far = upright(0.018, 0.0, 0.036), upright(-0.018, 0.0, 0.036)
     path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
-    jumping = SyntheticSource(
+    jumping = HeldPress(
         sensor, study_object("frustum"), path, DepthNoise(relative=0.005), nodes=4_000
     )
     pipeline.track(jumping.obj, here)
@@ -153,7 +153,7 @@ def test_a_pose_that_only_a_light_contact_fits_is_replaced_or_lost(
     path = np.repeat((turned("z", 25.0) @ turned("y", 8.0))[None], 9, axis=0)
     depth = np.minimum(first_m + 2e-3 * np.arange(9), 11e-3)
     path[:, 2, 3] = touching_height(bracket, path[0], build_mesh(sensor)) - depth
-    pressed = SyntheticSource(sensor, bracket, path, DepthNoise(relative=0.002), nodes=4_000)
+    pressed = HeldPress(sensor, bracket, path, DepthNoise(relative=0.002), nodes=4_000)
     pipeline.track(bracket)
     poses = [pipeline.process(pressed[k], PRODUCTS).pose for k in range(9)]
     assert any(len(pose.others) and not close(pose, T) for pose, T in zip(poses, path, strict=True))
@@ -167,7 +167,7 @@ def test_turn_of_a_resting_ball_stays_unknown(pipeline, sensor, turn):
     start = moved(np.eye(4), np.array([3e-3, 2e-3, 0.042, *(turn or np.zeros(3))]), np.zeros(3))
     middle, (prior_m, prior_deg) = [0.0, 0.0, 0.015], (3e-3, 6.0) if turn else (10e-3, 20.0)
     by_centre = middle[2] / prior_m  # known then, so the prior of the touched point's place tells
-    resting = SyntheticSource(
+    resting = HeldPress(
         sensor,
         study_object("sphere"),
         np.repeat(start[None], 4, axis=0),
@@ -272,7 +272,7 @@ def test_errors_of_the_whole_image_do_not_move_a_cross(pipeline, sensor, scale, 
     noise = DepthNoise(relative=0.002)
     position_m = np.add(sensor.camera.position_m, (shift_m, 0.0, 0.0))
     seen_by = changed(sensor, camera={"position_m": tuple(position_m)})
-    pressed = SyntheticSource(seen_by, study_object("cross"), path, noise, nodes=4_000)
+    pressed = HeldPress(seen_by, study_object("cross"), path, noise, nodes=4_000)
     turned_off = np.array([2e-3, 1e-3, 0.0, 0.0, 0.0, np.radians(7.0)])
     pipeline.track(pressed.obj, moved(truth, turned_off, truth[:3, 3]))
     for frame in pressed:
@@ -327,7 +327,7 @@ def test_covariance_holds_for_a_box_that_touches_with_an_edge(sensor):
     T[:3, :3] = Rotation.from_euler("y", 20.0, degrees=True).as_matrix()
     T[:3, 3] = [-0.001, 0.001, 0.0245]
     path = np.repeat(T[None], 2, axis=0)
-    source = SyntheticSource(dome, box, path, DepthNoise(absolute_m=1e-4), nodes=6_000)
+    source = HeldPress(dome, box, path, DepthNoise(absolute_m=1e-4), nodes=6_000)
     pipeline = Pipeline.of(dome)
     pipeline.track(box, T)
     for frame in source:

@@ -18,12 +18,12 @@ from window_driver import CTRL, LEFT, graphics_view, turn_wheel
 from bubbleviz.calibration import Step
 from bubbleviz.recordings import SIGNIFICANT
 from bubbleviz.sensor import load_sensor
-from bubbleviz.simulation import SyntheticSource, default_press
+from bubbleviz.simulation import default_press
 from bubbleviz_ui.calibration import calibration_panel, levels_page
 from bubbleviz_ui.calibration.calibration_page import NumberForm
 from bubbleviz_ui.model.scene_presets import load_scene
 from bubbleviz_ui.model.units import DASH
-from tests.small_press import changed
+from tests.small_press import HeldPress, changed
 
 
 def test_frames_are_chosen_by_mouse_removed_and_replaced(bench):
@@ -378,7 +378,7 @@ def test_another_inflation_level_is_added_and_undone(bench, tmp_path, monkeypatc
 def test_known_press_is_predicted_and_compared(drive, sensor):
     """Contact-free frames and one pressed frame of the built-in press, whose pose is known."""
     frame, whole = 18, default_press(sensor)
-    source = SyntheticSource(sensor, whole.obj, whole.poses[[0] * 16 + [80] * 5], whole.noise)
+    source = HeldPress(sensor, whole.obj, whole.poses[[0] * 16 + [80] * 5], whole.noise)
     bench = Bench(drive(lambda _: source, frame=frame))
     bench.identify()
     bench.step(5)

@@ -34,7 +34,7 @@ from bubbleviz_ui.pose.pose_panel import Curves
 from bubbleviz_ui.shell.theme import AMBER, GAP, GREEN, LINE, NEUTRAL, OBJECT_PATCH
 from bubbleviz_ui.view3d.colours import rgb
 from bubbleviz_ui.view3d.object_layers import FitLayer
-from tests.small_press import changed, coarser
+from tests.small_press import HeldPress, changed, coarser
 
 TRUE = np.array([0.004, 0.002, 0.037])
 FRAMES = 5
@@ -51,7 +51,7 @@ def source():
     sensor = changed(preset, camera=coarser(preset, 2), membrane={"nodes": 400})
     poses = np.repeat(T[None], FRAMES, axis=0)
     noise = DepthNoise(relative=0.005)
-    return SyntheticSource(sensor, load_object("frustum"), poses, noise, nodes=3_000)
+    return HeldPress(sensor, load_object("frustum"), poses, noise, nodes=3_000)
 
 
 class Bench(Driver):
@@ -199,7 +199,7 @@ def test_other_poses_that_fit_as_well_are_told_and_fitted_in_turn(drive, source,
     mesh, T = tmp_path / "box.stl", np.eye(4)
     trimesh.creation.box((0.024, 0.018, 0.030)).export(mesh)  # faces alike in a light touch
     T[2, 3] = 0.062
-    press = SyntheticSource(
+    press = HeldPress(
         source.sensor, load_object(str(mesh)), np.stack([T, T]), DepthNoise(), nodes=3_000
     )
     bench = Bench(drive(lambda _: press, sensor=source.sensor))
@@ -301,7 +301,7 @@ def test_without_the_panel_an_object_is_drawn_only_where_it_was_found(drive, sou
     press, away = np.eye(4), np.eye(4)
     press[:3, 3], away[:3, 3] = TRUE, TRUE + np.array([0.0, 0.0, 0.1])
     poses, noise = np.stack([press, press, away]), DepthNoise(relative=0.005)
-    frames = SyntheticSource(source.sensor, load_object("frustum"), poses, noise, nodes=3_000)
+    frames = HeldPress(source.sensor, load_object("frustum"), poses, noise, nodes=3_000)
     bench = Bench(drive(lambda _: frames, sensor=source.sensor))
     bench.choose_object("frustum")
     bench.click(bench.panel.track)
