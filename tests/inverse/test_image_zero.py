@@ -15,18 +15,17 @@ from bubbleviz.recordings import HeldFrames
 from bubbleviz.rigid_object import load_object
 from bubbleviz.simulation import DepthNoise, touching_height
 from bubbleviz.zeros import zeros_of
-from tests.small_press import changed, rubber_dome
+from tests.small_press import HeldPress, changed, rubber_dome
 
 REST, HELD = 20, 4
 SEEDS = range(4)
 
 
-def pressed(sensor, depths_m, **noise):
+def pressed(sensor, depths_m, noise_relative=0.0, seed=0):
     """Simulation of a ball that is pressed in by so much."""
-    poses = np.tile(np.eye(4), (len(depths_m), 1, 1))
-    top = touching_height(load_object("sphere"), poses[0], build_mesh(rubber_dome()))
-    poses[:, 2, 3] = top - np.array(depths_m)
-    return bv.simulate(sensor, "sphere", poses, **noise)
+    ball, poses = load_object("sphere"), np.tile(np.eye(4), (len(depths_m), 1, 1))
+    poses[:, 2, 3] = touching_height(ball, poses[0], build_mesh(rubber_dome())) - np.array(depths_m)
+    return HeldPress(sensor, ball, poses, DepthNoise(relative=noise_relative), seed=seed)
 
 
 @cache
