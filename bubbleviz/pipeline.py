@@ -427,7 +427,8 @@ class Pipeline:
             pixels = _evenly(returned, most)
         else:
             pixels = np.flatnonzero(returned)
-        return replace(result, cloud_m=self.camera.points(depth_m, pixels), cloud_pixels=pixels)
+        points_m = self.camera.displaced(result.estimate).points(depth_m, pixels)
+        return replace(result, cloud_m=points_m, cloud_pixels=pixels)
 
     def _residual_stage(self, result: Result, options: FrameOptions) -> Result:
         """Measured minus modelled range of the cloud's pixels, m."""
@@ -440,7 +441,8 @@ class Pipeline:
         if not estimate.trusted:
             return result
         nodes = self.mesh.deformed(estimate.motion_m)
-        texture = Texture.of(FrameColour.of(result.frame), nodes, self.camera)
+        camera = self.camera.displaced(estimate)
+        texture = Texture.of(FrameColour.of(result.frame), nodes, camera)
         return replace(result, texture=texture)
 
     def _with_pixels(self, estimate: Estimate, patch: Patch) -> Patch:

@@ -111,7 +111,7 @@ class Estimate:
         The sum of `nodal_force_n`, N.
     wrench_covariance : (6, 6) array or None
         Of that force, N, and its torque about the origin of B, N·m, by noise, friction, material
-        and model error; None for the paper's solver.
+        and model error, not by the place of a moved camera; None for the paper's solver.
     gas_law_pa : float or None
         p_v by the gas law for the shape, Pa.
     resolution_m : float or None

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from bubbleviz.averaging import StillFrames
-from bubbleviz.camera import IMAGE_ERRORS, ImageErrors
+from bubbleviz.camera import IMAGE_ERRORS, SHIFTS, ImageErrors
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
@@ -64,17 +64,21 @@ def drift_warning(errors: np.ndarray, pipeline: Pipeline, *, gas_measured: bool)
     drift_m, limit_m = float(units @ errors / by_offset), limit * by_scale / by_offset
     by_name = dict(zip(IMAGE_ERRORS, np.abs(errors), strict=True))
     of_depth = by_name["offset"] > limit_m or by_name["scale"] > limit
-    shift_m = np.hypot(by_name["shift to the right"], by_name["shift downwards"])
+    shift_m = float(np.linalg.norm(errors[SHIFTS]))
     if shift_m > limit_m and not of_depth:
         return (
-            f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm, or turned; if it has "
-            "turned, positions are off. Check its mounting, and identify the sensor again"
+            f"the camera has moved sideways by about {1e3 * shift_m:.1f} mm, or turned; forces are "
+            "corrected, but positions are off if it has turned. Check its mounting, and identify "
+            "the sensor again"
         )
     if abs(drift_m) <= limit_m:
         return ""
     known = "; forces are corrected for it. Let the camera warm up, or identify the sensor again"
     if not gas_measured:
-        known = ", or gas pressure, not recorded, differs. Record it, or let the camera warm up"
+        known = (
+            ", or the gas pressure, which was not recorded, has changed; forces are corrected for "
+            "drift. Record the pressure, or let the camera warm up"
+        )
     return f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{known}"
 
 

@@ -18,6 +18,7 @@ IMAGE_ERRORS = (
 """An offset, in m; offsets that grow with the tangent of the angle off the optical axis, in m; a
 share of the depth; and motion of the camera across its optical axis, in m."""
 OF_RANGES, SHIFTS = slice(4), slice(4, 6)
+"""Those that depend on the ranges alone, and the shifts of the camera."""
 
 
 def range_errors(T_B_C: np.ndarray, rays: np.ndarray, range_m: np.ndarray) -> np.ndarray:
@@ -61,7 +62,7 @@ class ImageErrors:
     ----------
     mean : (e,) array
     covariance : (e, e) array
-        Due to noise.
+        Due to noise, and drift since they were determined.
     by_model : (e, e) array
         Covariance due to errors of the model, which are the same in every image.
     prior : ImageErrors or None
@@ -89,7 +90,7 @@ class ImageErrors:
 
     def widened(self, factor: float) -> ImageErrors:
         """The same with standard deviations times a factor."""
-        return replace(self, covariance=factor**2 * self.covariance)
+        return replace(self, covariance=factor**2 * self.covariance, prior=None)
 
     def displacement_covariance(self, T_B_C: np.ndarray) -> np.ndarray:
         """Covariance (3, 3) of the place in B of all that the camera at a pose sees, m².

@@ -9,7 +9,10 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from bubbleviz.camera.image_errors import SHIFTS
+
 if TYPE_CHECKING:  # recordings start without the sensor file's validation
+    from bubbleviz.result import Estimate
     from bubbleviz.sensor import Camera
 
 _TOLERANCE = 1e-5  # of image-plane coordinates: the step that follows is exact to rounding
@@ -161,6 +164,11 @@ class DepthCamera:
         moved = DepthCamera(self.intrinsics, T_B_C)
         moved.range_per_depth = self.range_per_depth
         return moved
+
+    def displaced(self, estimate: Estimate | None) -> DepthCamera:
+        """The camera where an estimate says that it is, as it may have been moved."""
+        errors = None if estimate is None else estimate.image_errors
+        return self if errors is None else self.shifted(self.T_B_C[:3, :2] @ errors.mean[SHIFTS])
 
     @property
     def center(self) -> np.ndarray:

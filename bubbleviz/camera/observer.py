@@ -643,9 +643,9 @@ class RangeObserver:
         """Model of the block residuals, linearised at a shape.
 
         Beyond first order, which is in `image_errors`, it includes the effect of shifts larger than
-        the errors of the mesh's facets: a camera that has moved sees the contact elsewhere.
+        the errors that a correct model leaves: a camera that has moved sees the contact elsewhere.
         """
-        if shift_m is not None and np.abs(shift_m).max() <= self.facet_error_m:
+        if shift_m is not None and np.abs(shift_m).max() <= self._model_error_m:
             shift_m = None
         if shift_m is not None:
             nodes = nodes - self.camera.T_B_C[:3, :2] @ shift_m

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera.image_errors import SHIFTS
 from bubbleviz.camera.intrinsics import DepthCamera
 from bubbleviz.membrane import (
     MembraneMesh,
@@ -339,10 +338,8 @@ class MembraneView:
 
     def motion_seen(self, estimate: Estimate) -> np.ndarray:
         """Motion (n, 3) of an estimate relative to the camera, m, which may have been moved."""
-        errors = estimate.image_errors
-        if errors is None:
-            return estimate.motion_m
-        motion: np.ndarray = estimate.motion_m - self.camera.T_B_C[:3, :2] @ errors.mean[SHIFTS]
+        moved_m = self.camera.displaced(estimate).center - self.camera.center
+        motion: np.ndarray = estimate.motion_m - moved_m
         return motion
 
     def above(self, displacement_m: np.ndarray, field: np.ndarray, level: float) -> np.ndarray:

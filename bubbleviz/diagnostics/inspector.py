@@ -220,23 +220,29 @@ class Probe:
         row, column = pixel
         if not (0 <= row < height and 0 <= column < width):
             return None
-        ray = self._camera.directions[row * width + column]
-        return self._probed(pixel, result, ray, self._camera.center)
+        camera = self._camera.displaced(result.estimate)
+        ray = camera.directions[row * width + column]
+        return self._probed(pixel, result, ray, camera.center)
 
     def at_point(self, point_m: np.ndarray, result: Result) -> Probed:
         """Values at a point (3,) in B, of the drawn membrane or of the cloud."""
-        row, column = (round(c) for c in self._projected(point_m))
+        camera = self._camera.displaced(result.estimate)
+        row, column = (round(c) for c in _projected(camera, point_m))
         height, width = result.frame.depth_m.shape
         inside = 0 <= row < height and 0 <= column < width
-        ray = point_m - self._camera.center
+        ray = point_m - camera.center
         return self._probed((row, column) if inside else None, result, ray, point_m)
 
     def _probed(
         self, pixel: Pixel | None, result: Result, ray: np.ndarray, near_m: np.ndarray
     ) -> Probed:
-        estimate, mesh = result.estimate, self._mesh
+        estimate, mesh, camera = (
+            result.estimate,
+            self._mesh,
+            self._camera.displaced(result.estimate),
+        )
         nodes_m = mesh.nodes if estimate is None else mesh.deformed(estimate.motion_m)
-        triangle, barycentric = _met(nodes_m, mesh.triangles, self._camera.center, ray, near_m)
+        triangle, barycentric = _met(nodes_m, mesh.triangles, camera.center, ray, near_m)
         nodes = mesh.triangles[triangle]
         place = barycentric @ nodes_m[nodes]
 
@@ -252,7 +258,7 @@ class Probe:
         point = np.full(3, np.nan)
         if pixel:
             index = np.ravel_multi_index(pixel, result.frame.depth_m.shape)
-            point = self._camera.points(result.frame.depth_m, np.array([index]))[0]
+            point = camera.points(result.frame.depth_m, np.array([index]))[0]
         return Probed(
             pixel=pixel,
             point_m=point,
@@ -260,17 +266,18 @@ class Probe:
             nodes=nodes,
             barycentric=barycentric,
             membrane_m=place,
-            membrane_pixel=self._projected(place),
+            membrane_pixel=_projected(camera, place),
             displacement_m=value(displacement),
             pressure_pa=value(pressure),
             residual_m=_residual(pixel, result) if pixel else np.nan,
             in_patch=inside,
         )
 
-    def _projected(self, point_m: np.ndarray) -> tuple[float, float]:
-        """Row and column of the projection of a point in B."""
-        u, v = self._camera.project(point_m)
-        return float(v), float(u)
+
+def _projected(camera: DepthCamera, point_m: np.ndarray) -> tuple[float, float]:
+    """Row and column of the projection of a point in B."""
+    u, v = camera.project(point_m)
+    return float(v), float(u)
 
 
 # Profile: heights and contact pressure along a line across the membrane.
@@ -316,6 +323,7 @@ def profile(
         nodes = mesh.deformed(estimate.motion_m)
         along, height, pressures = _section(nodes, mesh.triangles, start, e, length, pressure)
     seen = (along, height) if estimate is not None else (rest_along, rest)
+    camera = camera.displaced(result.estimate)
     measured = _measured(camera, result.frame.depth_m, start, e, *seen)
     return Profile(along, height, rest_along, rest, pressures, *measured)
 

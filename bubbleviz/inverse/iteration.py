@@ -391,23 +391,16 @@ class Iteration:
             return "implausible"  # nor does the membrane at rest fit
         view, observer, mesh = observed.view, newton.observer, newton.mesh
         by_flow = contacts_seen_by_flow(pressure, mesh.rings, observed.seen_by_flow)
-        image_errors = self._image_errors(step, observed)
-        displaced = image_errors or newton.drift_prior
         return SolvedFrame(
             step,
             (self._following or observed).view,
             noise,
             observer.misfit(observed.observation, view.block, step.residual_m, noise.ranges),
             newton.contradicts(step.state.gas, self._data.gas_pa),
-            wrench_covariance(
-                step,
-                newton.friction,
-                by_flow,
-                displaced.displacement_covariance(observer.camera.T_B_C),
-            ),
+            wrench_covariance(step, newton.friction, by_flow),
             _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
             _flow_fit(step, observed.flow, noise) if by_flow.any() else None,
-            image_errors,
+            self._image_errors(step, observed),
             self._solve_ms,
         )
 

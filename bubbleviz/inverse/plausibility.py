@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, Misfit
+from bubbleviz.camera import SHIFTS, ImageErrors, Misfit
 from bubbleviz.membrane import Gas
 from bubbleviz.result import Status
 
@@ -40,8 +40,8 @@ is. Chosen; eight times the noise of the sensor file has a misfit of 0.05."""
 
 IMPLAUSIBLE_SHIFT = 10.0
 """Sideways motion of the camera since the calibration, in standard deviations of that of a moved
-one, beyond which no force is told. Chosen: 5 mm at 100 mm; in a simulation the force is 0.5 to 1.8
-half widths of its interval off at 4 mm, and 1.6 at 12 mm."""
+one, beyond which no force is told. Chosen: 5 mm at 100 mm; in a simulation with shifts to first
+order the force is 0.5 to 1.8 half widths of its interval off at 4 mm, and 1.6 at 12 mm."""
 
 STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
@@ -82,8 +82,7 @@ def reason_against_camera(errors: np.ndarray, moved: ImageErrors) -> str:
 
     `moved`: prior of the errors of one.
     """
-    shifts = slice(IMAGE_ERRORS.index("shift to the right"), None)
-    shift_m, sigma_m = float(np.linalg.norm(errors[shifts])), np.sqrt(moved.covariance[-1, -1])
+    shift_m, sigma_m = float(np.linalg.norm(errors[SHIFTS])), np.sqrt(moved.covariance[-1, -1])
     if shift_m <= IMPLAUSIBLE_SHIFT * sigma_m:
         return ""
     return (

@@ -18,9 +18,7 @@ off by 1.8 % in the median of 42 frames, and by up to 9 % if a puck is twisted b
 the same time; forces of frictionless presses by at most 1.4 %."""
 
 
-def wrench_covariance(
-    step: Step, friction: float, by_flow: np.ndarray, displacement: np.ndarray
-) -> np.ndarray:
+def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.ndarray:
     """Covariance (6, 6) of the wrench due to noise, nuisances, material and model.
 
     The support is uncertain by one node: its neighbours may touch, too. This leaves friction less
@@ -34,8 +32,6 @@ def wrench_covariance(
         Prior standard deviation of friction over pressure.
     by_flow : (n,) bool array
         Nodes whose friction optical flow sees.
-    displacement : (3, 3) array
-        Covariance of the contact's place due to a moved camera, m².
     """
     nodes, problem = step.contact.nodes, step.contact.problem
     if not len(nodes):
@@ -50,8 +46,6 @@ def wrench_covariance(
     covariance = _model_covariance(step.state.x, push, unknowns @ unit, friction * ~by_flow)
     for change in by_material:
         covariance += np.outer(change, change)
-    arm = np.cross(np.eye(3), (unknowns @ unit)[:3])
-    covariance[3:, 3:] += arm.T @ displacement @ arm
     around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
     unit = unit_wrenches(step, around)
     alone = np.eye(len(unit))[:, len(around) + np.concatenate([own for own, _ in step.scaled])]

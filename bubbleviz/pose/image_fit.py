@@ -12,6 +12,7 @@ import numpy as np
 
 from bubbleviz.camera import (
     MAD,
+    SHIFTS,
     RangeObserver,
     RayCaster,
     range_errors,
@@ -201,13 +202,15 @@ class ImageFit:
         pixel = close[: len(close) // each * each].reshape(-1, each)
         rays = self._directions[pixel].sum(axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-        camera = self._observer.camera
+        camera, known = self._observer.camera, contact.image_errors
+        shift_m = np.zeros(2) if known is None else known.mean[SHIFTS]
+        nodes = press.released - camera.T_B_C[:3, :2] @ shift_m  # relative to a moved camera
         caster = RayCaster(camera.center, rays, mesh.triangles)
-        nodes = press.released
         hits = caster.cast(nodes)
         pixel = pixel[hits.ray]
         by_motion, seen = caster.slopes(nodes, hits), rays[hits.ray]
         by_range = range_errors(camera.T_B_C, seen, hits.range_m)
+        by_shift = range_shifts(camera.T_B_C, seen, by_motion)
         values = hits.barycentric[:, :, None] * by_motion[:, None]
         slopes = np.concatenate([press.slopes, press.rounding[None]]).reshape(7, -1)
         columns = vector_columns(mesh.triangles)[hits.triangle]
@@ -216,11 +219,12 @@ class ImageFit:
         square -= square.min(axis=0, initial=0)
         return PredictedImage(
             pixel=pixel,
-            expected_m=hits.range_m - self._rest_m[pixel].mean(axis=1),
+            # the first order of the shift is in `by_image`
+            expected_m=hits.range_m - self._rest_m[pixel].mean(axis=1) - by_shift @ shift_m,
             jacobian=J[:, :6],
             on_face=press.on_face[hits.triangle],
             rounding=J[:, 6],
-            by_image=np.hstack([by_range, range_shifts(camera.T_B_C, seen, by_motion)]),
+            by_image=np.hstack([by_range, by_shift]),
             square=np.ravel_multi_index(square.T, square.max(axis=0, initial=0) + 1),
             triangles=len(np.unique(hits.triangle)),
             press=press,

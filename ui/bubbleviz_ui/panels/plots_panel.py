@@ -174,7 +174,7 @@ class PlotsPanel(QWidget):
         columns = min(max(self.width() // CELL[0], 1), max(len(shown), 1))
         columns = -(-len(shown) // -(-len(shown) // columns)) if shown else 1
         height = CELL[1] * -(-len(shown) // columns)
-        low = round(0.85 * height)  # as high as 1024×700 px leave at 150 %
+        low = round(0.85 * height)  # what a window of 1024×700 px leaves at 150 %
         fits = self.height() - self.sizeHint().height() >= low - 2 * CELL[1]
         if not self._host.arrange([plot.item for plot in shown], columns, filled=fits):
             return

@@ -72,7 +72,7 @@ class Dock(QDockWidget):
         if self.home is not self and narrow and not self.placed:
             window.tabifyDockWidget(self.home, self)
         self._opened = self.placed = True
-        if self._above_hint is None:  # it was closed in the session, which has no height of it
+        if self._above_hint is None:  # closed in the session, which so has no height for it
             self._above_hint = 0
         self.opened_s = time.monotonic()
         super().setVisible(visible)
