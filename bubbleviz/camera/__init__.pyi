@@ -20,6 +20,7 @@ from .image_errors import (
     OF_RANGES as OF_RANGES,
     SHIFTS as SHIFTS,
     ImageErrors as ImageErrors,
+    camera_shift as camera_shift,
     range_errors as range_errors,
     range_shifts as range_shifts,
 )

@@ -9,7 +9,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from bubbleviz.camera.image_errors import SHIFTS
+from bubbleviz.camera.image_errors import camera_shift
 
 if TYPE_CHECKING:  # recordings start without the sensor file's validation
     from bubbleviz.result import Estimate
@@ -168,7 +168,9 @@ class DepthCamera:
     def displaced(self, estimate: Estimate | None) -> DepthCamera:
         """The camera where an estimate says that it is, as it may have been moved."""
         errors = None if estimate is None else estimate.image_errors
-        return self if errors is None else self.shifted(self.T_B_C[:3, :2] @ errors.mean[SHIFTS])
+        if errors is None:
+            return self
+        return self.shifted(self.T_B_C[:3, :2] @ camera_shift(errors.mean))
 
     @property
     def center(self) -> np.ndarray:

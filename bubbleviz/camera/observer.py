@@ -16,6 +16,7 @@ from bubbleviz.camera.image_errors import (
     IMAGE_ERRORS,
     OF_RANGES,
     SHIFTS,
+    SQUARE_ERROR_M,
     range_errors,
     range_shifts,
 )
@@ -35,10 +36,6 @@ median needs some tens of them."""
 UPPER_95 = 1.6
 """Upper 95 % limit of a median over `SQUARES` squares, relative to that median: its standard
 deviation is a fifth."""
-
-_MODEL_ERROR_M = 6e-5
-"""σ of the mean error that a correct model leaves in a square, besides that of its facets. Chosen:
-twice the rms of such means, 0.03 mm, on the real press while it is held."""
 
 MAD = 0.6745  # median of |z| of a standard normal z
 _MIDDLE_MEAN = 0.6934  # mean of the middle half of its |z|
@@ -248,7 +245,7 @@ class RangeObserver:
         self.camera, self.mesh, self.block = camera, mesh, block
         self.columns = -(-camera.intrinsics.width // block)  # blocks in a row of the image
         self.facet_error_m = facet_error(mesh)
-        self._model_error_m = float(np.hypot(_MODEL_ERROR_M, self.facet_error_m))
+        self._model_error_m = float(np.hypot(SQUARE_ERROR_M, self.facet_error_m))
         caster = RayCaster(camera.center, camera.directions, mesh.triangles)
         seen = caster.first(mesh.nodes) if seen is None else seen
         self._group(caster.hits_on(mesh.nodes, seen), noise_relative, pixels)
@@ -638,15 +635,13 @@ class RangeObserver:
         nodes: np.ndarray,  # (n, 3), in B, m
         # of an earlier shape: if near, rays walk on from the triangles that they met there
         last: ShapeRanges | None = None,
-        shift_m: np.ndarray | None = None,  # (2,), shifts of the camera as in `IMAGE_ERRORS`, m
+        shift_m: np.ndarray | None = None,  # (2,), `camera_shift`
     ) -> ShapeRanges:
         """Model of the block residuals, linearised at a shape.
 
-        Beyond first order, which is in `image_errors`, it includes the effect of shifts larger than
-        the errors that a correct model leaves: a camera that has moved sees the contact elsewhere.
+        It includes what a shift changes beyond first order, which is in `image_errors`: a camera
+        that has moved sees the contact elsewhere.
         """
-        if shift_m is not None and np.abs(shift_m).max() <= self._model_error_m:
-            shift_m = None
         if shift_m is not None:
             nodes = nodes - self.camera.T_B_C[:3, :2] @ shift_m
         if last is not None and np.array_equal(nodes, last.nodes_m):

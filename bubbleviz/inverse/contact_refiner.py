@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bubbleviz.camera import SHIFTS, SQUARES, RangeObserver, RayCaster
+from bubbleviz.camera import SQUARES, RangeObserver, RayCaster, camera_shift
 from bubbleviz.errors import InputError
 from bubbleviz.inverse.contact_problem import (
     ContactProblem,
@@ -209,7 +209,7 @@ class ContactRefiner:
         off_m, shift_m = np.zeros(observer.blocks), None
         if estimate.image_errors is not None:
             off_m = observer.image_errors @ estimate.image_errors.mean
-            shift_m = estimate.image_errors.mean[SHIFTS]
+            shift_m = camera_shift(estimate.image_errors.mean)
         for step in range(_STEPS + part.twice):
             view = observer.around(x, view, shift_m)
             expected = view.model_m + off_m

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from bubbleviz.camera import IMAGE_ERRORS, SHIFTS, ImageErrors, RangeObserver, ShapeRanges
+from bubbleviz.camera import IMAGE_ERRORS, ImageErrors, RangeObserver, ShapeRanges, camera_shift
 from bubbleviz.inverse.contact_problem import (
     MAX_EXCHANGE_NODES,
     ContactPressure,
@@ -282,7 +282,7 @@ class GaussNewton:
         prior = data.image_errors or self.moved_prior
         image_errors = prior.mean if at_rest else state.image_errors
         nearby = self._view_at_rest if at_rest else last
-        view = self.observer.around(state.x, nearby, image_errors[SHIFTS])
+        view = self.observer.around(state.x, nearby, camera_shift(image_errors))
         expected = view.model_m + self.observer.image_errors @ image_errors
         observation = self.observer.weigh(data.ranges, expected)
         errors_m = self.observer.image_errors[view.block]

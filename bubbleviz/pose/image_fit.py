@@ -12,9 +12,9 @@ import numpy as np
 
 from bubbleviz.camera import (
     MAD,
-    SHIFTS,
     RangeObserver,
     RayCaster,
+    camera_shift,
     range_errors,
     range_shifts,
     sparse_rows,
@@ -203,7 +203,7 @@ class ImageFit:
         rays = self._directions[pixel].sum(axis=1)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         camera, known = self._observer.camera, contact.image_errors
-        shift_m = np.zeros(2) if known is None else known.mean[SHIFTS]
+        shift_m = np.zeros(2) if known is None else camera_shift(known.mean)
         nodes = press.released - camera.T_B_C[:3, :2] @ shift_m  # relative to a moved camera
         caster = RayCaster(camera.center, rays, mesh.triangles)
         hits = caster.cast(nodes)

@@ -100,13 +100,19 @@ def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, press, 
         assert np.nanpercentile(np.abs(off_m), 99) < 4.0 * NOISE_M
 
 
+def test_noise_factor_is_that_of_the_image(solver):
+    mesh, contact = pressed("sphere", 0.007, 0.008)
+    image = depth_image_of(mesh, contact.displacement_3d_m, 3.0 * NOISE_M)
+    assert solver.estimate(image)[0].noise_factor == pytest.approx(3.0, rel=0.25)
+
+
 def test_a_known_error_that_has_gone_is_no_motion_of_the_camera(solver):
     drift = solver.image_priors[0]
     known = ImageErrors(np.array([3e-4, 0.0, 0.0, 0.0, 0.0, 0.0]), 0.01 * drift.covariance)
     mesh, contact = pressed("cylinder", 0.005, 0.0)
     image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
     estimate, _ = solver.estimate(image, image_errors=known)
-    assert np.abs(estimate.image_errors.mean[4:]).max() < 3e-5
+    assert np.abs(estimate.image_errors.mean[SHIFTS]).max() < 3e-5
 
 
 def test_a_contact_over_most_of_the_image_has_the_same_solution_warm_and_cold(solver):

@@ -1,13 +1,15 @@
 """Errors of the depth image that are known from frames without contact."""
 
+import re
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 import bubbleviz as bv
-from bubbleviz.camera import DepthCamera
+from bubbleviz.camera import SHIFTS, DepthCamera
 from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
@@ -114,7 +116,11 @@ def test_a_camera_that_was_moved_across_its_axis_since_the_calibration(shift_m):
     for k in range(REST, REST + HELD):
         error = np.linalg.norm(run.force_n[k] - simulation.truth(k).force_n)
         assert error < 1.3 * run[k].estimate.force_half_width_n
-    assert "the camera has moved sideways by about 1." in run.warning
+        found = run[k].estimate.image_errors
+        off_m, covariance = found.mean[SHIFTS] - shift_m[:2], found.covariance + found.by_model
+        assert off_m @ np.linalg.solve(covariance[SHIFTS, SHIFTS], off_m) < chdtri(2, 0.01)
+    told = re.match(r"the camera has moved sideways by about (\S+) mm", run.warning)
+    assert float(told[1]) == pytest.approx(1.0, abs=0.2)
 
 
 def test_an_image_that_jumps_as_a_press_begins_is_not_noisy():

@@ -8,11 +8,11 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from bubbleviz.camera import MembraneView
+from bubbleviz.camera import ImageErrors, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import ObjectSurface, build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import looking_different, motion_between, moved
+from bubbleviz.pose import PoseTracker, looking_different, motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object, touching_height
@@ -282,6 +282,21 @@ def test_errors_of_the_whole_image_do_not_move_a_cross(pipeline, sensor, scale, 
     off = motion_between(pose.T_B_O, truth, pose.center_m)
     assert np.degrees(abs(off[5])) < 2.0
     assert np.linalg.norm(off[:2]) < 6e-4
+
+
+def test_covariance_includes_an_unknown_motion_of_the_camera(pipeline, source):
+    result = pipeline.process(source[0], frozenset({"estimate", "patch"}))
+    before, covariances = ImageErrors(np.zeros(6), np.zeros((6, 6))), []
+    for unknown_m in (0.0, 1e-3):
+        errors = replace(before, by_model=unknown_m**2 * np.eye(6))
+        estimate = replace(result.estimate, image_errors=errors)
+        rubber = pipeline.model.rubber
+        tracker = PoseTracker(pipeline.estimator, source.obj, path()[0], membrane=rubber)
+        covariances.append(tracker.update(result.frame, estimate, result.patch).covariance)
+    across = pipeline.camera.T_B_C[:3, :2]
+    more = covariances[1] - covariances[0]
+    np.testing.assert_allclose(more[:3, :3], 1e-6 * across @ across.T, atol=1e-12)
+    assert not more[3:].any()
 
 
 def test_covariance_holds_for_a_cylinder_that_tilts_onto_its_edge(sensor):
