@@ -254,7 +254,7 @@ def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     assert estimated.warning is None
     assert "gas pressure" not in run.warning
     silent = bv.estimate([replace(each, gas_pressure_pa=None) for each in drifted], sensor)
-    assert "gas pressure, not recorded, differs" in silent.warning
+    assert "gas pressure, which was not recorded, has changed" in silent.warning
     followed = bv.track(drifted, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")
     assert followed.warning == run.warning
 
