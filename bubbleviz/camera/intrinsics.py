@@ -168,9 +168,8 @@ class DepthCamera:
     def displaced(self, estimate: Estimate | None) -> DepthCamera:
         """The camera where an estimate says that it is, as it may have been moved."""
         errors = None if estimate is None else estimate.image_errors
-        if errors is None:
-            return self
-        return self.shifted(self.T_B_C[:3, :2] @ camera_shift(errors.mean))
+        shift_m = np.zeros(2) if errors is None else camera_shift(errors.mean)
+        return self.shifted(self.T_B_C[:3, :2] @ shift_m) if shift_m.any() else self
 
     @property
     def center(self) -> np.ndarray:

@@ -337,9 +337,11 @@ class MembraneView:
         return view.above(view.motion_seen(estimate), levels, level)
 
     def motion_seen(self, estimate: Estimate) -> np.ndarray:
-        """Motion (n, 3) of an estimate relative to the camera, m, which may have been moved."""
-        moved_m = self.camera.displaced(estimate).center - self.camera.center
-        motion: np.ndarray = estimate.motion_m - moved_m
+        """Motion of an estimate relative to the camera, m, which may have been moved."""
+        camera = self.camera.displaced(estimate)
+        if camera is self.camera:
+            return estimate.motion_m
+        motion: np.ndarray = estimate.motion_m - (camera.center - self.camera.center)
         return motion
 
     def above(self, displacement_m: np.ndarray, field: np.ndarray, level: float) -> np.ndarray:
