@@ -236,11 +236,8 @@ class Probe:
     def _probed(
         self, pixel: Pixel | None, result: Result, ray: np.ndarray, near_m: np.ndarray
     ) -> Probed:
-        estimate, mesh, camera = (
-            result.estimate,
-            self._mesh,
-            self._camera.displaced(result.estimate),
-        )
+        estimate, mesh = result.estimate, self._mesh
+        camera = self._camera.displaced(estimate)
         nodes_m = mesh.nodes if estimate is None else mesh.deformed(estimate.motion_m)
         triangle, barycentric = _met(nodes_m, mesh.triangles, camera.center, ray, near_m)
         nodes = mesh.triangles[triangle]
