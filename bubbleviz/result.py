@@ -118,7 +118,7 @@ class Estimate:
         Width of the response to a point load at the noise assumed by the solver, m; None for the
         paper's solver.
     noise_factor : float
-        Residuals of the image, including errors of the model, over the noise of the sensor file.
+        Noise of the image over that of the sensor file; it includes errors of the model.
     reason : str
         Why the numbers are not trustworthy, in one clause; empty if they are.
     averaged_pressure_pa : (n,) array or None

@@ -73,13 +73,13 @@ def drift_warning(errors: np.ndarray, pipeline: Pipeline, *, gas_measured: bool)
         )
     if abs(drift_m) <= limit_m:
         return ""
-    known = "; forces are corrected for it. Let the camera warm up, or identify the sensor again"
+    advice = "; forces are corrected for it. Let the camera warm up, or identify the sensor again"
     if not gas_measured:
-        known = (
+        advice = (
             ", or the gas pressure, which was not recorded, has changed; forces are corrected for "
             "drift. Record the pressure, or let the camera warm up"
         )
-    return f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{known}"
+    return f"depth has drifted by {1e3 * drift_m:+.2f} mm since the calibration{advice}"
 
 
 class ImageZero:

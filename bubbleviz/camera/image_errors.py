@@ -18,7 +18,7 @@ IMAGE_ERRORS = (
 """An offset, in m; offsets that grow with the tangent of the angle off the optical axis, in m; a
 share of the depth; and motion of the camera across its optical axis, in m."""
 OF_RANGES, SHIFTS = slice(4), slice(4, 6)
-"""Those that depend on the ranges alone, and the shifts of the camera."""
+"""Errors that are the same on every surface, and shifts, whose effect depends on its slope."""
 
 SQUARE_ERROR_M = 6e-5
 """σ of the mean error that a correct model leaves in a square of the image, besides that of its

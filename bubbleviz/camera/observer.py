@@ -603,9 +603,9 @@ class RangeObserver:
         )
 
     def model_errors(self, block: np.ndarray) -> np.ndarray:
-        """Errors (k, s) of blocks that a correct model leaves, by their standard deviation.
+        """Errors (k, s) of the blocks' ranges, m, that a correct model leaves.
 
-        They are independent of each other: one for each square.
+        One standard deviation in each square of the image; squares are independent.
         """
         _, square = np.unique(self._squares.of_block[block], return_inverse=True)
         errors = np.zeros((len(block), int(square.max(initial=-1)) + 1))

@@ -90,6 +90,7 @@ def test_a_camera_that_was_moved_is_neither_contact_nor_friction(solver, press, 
         error = np.linalg.norm(estimate.force_n - contact.nodal_force_n.sum(axis=0))
         assert error < estimate.force_half_width_n
         found = estimate.image_errors
+        assert found.mean[SHIFTS] == pytest.approx(shift_m[:2], abs=3e-4)
         off_m, covariance = found.mean[SHIFTS] - shift_m[:2], found.covariance + found.by_model
         assert off_m @ np.linalg.solve(covariance[SHIFTS, SHIFTS], off_m) < chdtri(2, 0.05)
         weights = solver.mesh.areas * estimate.contact_pressure_pa

@@ -122,7 +122,7 @@ def test_a_camera_that_was_moved_across_its_axis_since_the_calibration(shift_m):
         # errors of the model do not average out over the frames without contact
         assert np.diag(covariance)[SHIFTS].min() > 1e-4**2
     told = re.match(r"the camera has moved sideways by about (\S+) mm", run.warning)
-    assert float(told[1]) == pytest.approx(1.0, abs=0.2)
+    assert float(told[1]) == pytest.approx(1.0, abs=0.11)
 
 
 def test_an_image_that_jumps_as_a_press_begins_is_not_noisy():
