@@ -269,7 +269,7 @@ class ResultWriter:
         self._fields = {k: n for k, n in NODAL_FIELDS.items() if shear or k not in _OF_SHEAR}
         self._stack = ExitStack()
         with ExitStack() as opening:
-            archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED)
+            archive = zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
             self._archive = opening.enter_context(archive)
             self._spools = [
                 opening.enter_context(tempfile.TemporaryFile(dir=path.parent)) for _ in self._fields
