@@ -579,13 +579,21 @@ class ContactProblem:
         return self._pull(weighed) + self._prior.smoothness @ pressure
 
     def kkt_residual(self, pressure: np.ndarray) -> float:
-        """KKT residual ‖min(p, ∇)‖, p and ∇ relative, of a pressure (n,) on its support, no L1."""
-        where = pressure > 0.0
-        if not where.any():
+        """KKT residual ‖min(p, ∇)‖ of a pressure (n,) on its support, without the L1 term.
+
+        p and ∇ relative to the largest p, and ∇ without pressure, on the support.
+        """
+        nodes = np.flatnonzero(pressure)
+        if not len(nodes):
             return 0.0
-        scale = float(np.abs(self._gradient_at_zero).max())
-        gradient = self.gradient(pressure)[where] / scale
-        return float(np.abs(np.minimum(pressure[where] / pressure.max(), gradient)).max())
+        measured = self.measurements
+        moved = measured.jacobian @ self._motion(pressure).ravel()
+        both = np.stack([self._error, measured.error - moved])
+        weighed = np.stack([measured.weighed(each) for each in both], axis=1)
+        at_zero, gradient = (self._membrane.coordinates(nodes).T @ (self._rows.T @ weighed)).T
+        gradient += (self._prior.smoothness @ pressure)[nodes]
+        gradient /= np.abs(at_zero).max()
+        return float(np.abs(np.minimum(pressure[nodes] / pressure.max(), gradient)).max())
 
     def _motion(self, pressure: np.ndarray) -> np.ndarray:
         """Motion to equilibrium under a pressure (n,), (n, 3)."""

@@ -10,7 +10,7 @@ traction, as smooth as the contact pressure.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
@@ -49,16 +49,40 @@ INITIAL_SCALES = 1.0, 1.0, float(_SCALES[0])
 begin as negligible: a contact that is seen only beside missing returns is still found."""
 
 
-class PriorScale(NamedTuple):
+@dataclass(frozen=True)
+class PriorScale:
     """Scale of the prior of some amplitudes, such as slides, by the evidence of one frame.
 
-    `value` is the scale whose number of determined parameters (MacKay 1992) is the mean over all
-    scales, so that its solution is near their mean. `spread` (q, q) is what the uncertainty of the
-    scale adds to the covariance of the amplitudes.
+    Attributes
+    ----------
+    value : float
+        The scale whose number of determined parameters (MacKay 1992) is the mean over all scales,
+        so that its solution is near their mean.
+    axes : (q, q) array
+        Directions in which the amplitudes are independent.
+    solutions, precision : (scales, q) array
+        Amplitudes along them and their precision, for each scale.
+    evidence : (scales,) array
+        Its logarithm.
+    chosen : int
+        Number of the scale `value`.
     """
 
     value: float
-    spread: np.ndarray
+    axes: np.ndarray
+    solutions: np.ndarray
+    precision: np.ndarray
+    evidence: np.ndarray
+    chosen: int
+
+    @property
+    def spread(self) -> np.ndarray:
+        """What the uncertainty of the scale adds to the covariance of the amplitudes, (q, q)."""
+        equal, variance = _normalised(self.evidence), 1.0 / self.precision
+        deviations = self.solutions - self.solutions[self.chosen]
+        more = np.maximum(equal @ variance - variance[self.chosen], 0.0)
+        spread = np.diag(more) + (deviations.T * equal) @ deviations
+        return np.asarray(self.axes @ spread @ self.axes.T)
 
 
 def prior_scale(
@@ -78,20 +102,17 @@ def prior_scale(
     present : float
         Scale with which the frame was solved.
     """
-    precision = np.linalg.inv(covariance)
-    prior = (sigma * np.append(_SCALES, present)[:, None]) ** -2.0
-    data, axes = np.linalg.eigh(precision - prior[-1] * np.eye(len(amplitudes)))
-    data, pulled = np.maximum(data, 0.0), axes.T @ (precision @ amplitudes)
-    solutions, determined = pulled / (data + prior), (data / (data + prior)).sum(axis=1)
-    evidence = 0.5 * (solutions @ pulled - np.log1p(data / prior).sum(axis=1))[:-1]
-    equal = _normalised(evidence)
-    evidence[0] += np.log(len(_SCALES) - 1.0)
-    weight = _normalised(evidence)
-    chosen = int(np.argmin(np.abs(determined[:-1] - weight @ determined[:-1])))
-    deviations, variance = solutions[:-1] - solutions[chosen], 1.0 / (data + prior[:-1])
-    more = np.maximum(equal @ variance - variance[chosen], 0.0)
-    spread = axes @ (np.diag(more) + (deviations.T * equal) @ deviations) @ axes.T
-    return PriorScale(float(_SCALES[chosen]), spread)
+    information = np.linalg.inv(covariance)
+    prior = (sigma * _SCALES) ** -2.0
+    data, axes = np.linalg.eigh(information - (sigma * present) ** -2.0 * np.eye(len(amplitudes)))
+    data, pulled = np.maximum(data, 0.0), axes.T @ (information @ amplitudes)
+    precision = data + prior[:, None]
+    solutions, determined = pulled / precision, (data / precision).sum(axis=1)
+    evidence = 0.5 * (solutions @ pulled - np.log1p(data / prior[:, None]).sum(axis=1))
+    likely = evidence.copy()
+    likely[0] += np.log(len(_SCALES) - 1.0)
+    chosen = int(np.argmin(np.abs(determined - _normalised(likely) @ determined)))
+    return PriorScale(float(_SCALES[chosen]), axes, solutions, precision, evidence, chosen)
 
 
 def _normalised(log_weight: np.ndarray) -> np.ndarray:

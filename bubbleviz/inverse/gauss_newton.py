@@ -605,17 +605,25 @@ class GaussNewton:
         It is judged with the noise that a moved camera would leave: friction and noise may have
         taken up its motion in the contact that was solved with `hyper`.
         """
-        noise = found.noise
+        noise, prior = found.noise, hyper.image_errors
+
+        def change(contact: ContactPressure, doubt: float) -> float:
+            """χ² of the errors of the image under the prior."""
+            errors = observed.image_prior.mean + contact.amplitudes[-len(IMAGE_ERRORS) :]
+            # errors known from other frames are not less certain because this one is noisy
+            off = (errors - prior.mean) / (doubt if prior is self.drift_prior else 1.0)
+            return float(off @ prior.precision @ off)
+
         if noise.ranges > 1.0 and observed.flow is None:
+            # less noise, at least 1, multiplies χ² by about that factor's square or less
+            if change(contact, hyper.doubt) * noise.ranges**2 <= _IMAGE_CHANGED:
+                return found
             moved = solved(hyper._replace(image_errors=self.moved_prior))
             noise = min(noise, self._noise_by(moved, observed, noise, True))
         judged = hyper._replace(noise=noise)
-        amplitudes = (contact if judged == hyper else solved(judged)).amplitudes
-        prior = hyper.image_errors
-        errors = observed.image_prior.mean + amplitudes[-len(IMAGE_ERRORS) :]
-        # errors known from other frames are not less certain because this one is noisy
-        off = (errors - prior.mean) / (judged.doubt if prior is self.drift_prior else 1.0)
-        if off @ prior.precision @ off <= _IMAGE_CHANGED:
+        if judged != hyper:
+            contact = solved(judged)
+        if change(contact, judged.doubt) <= _IMAGE_CHANGED:
             return found
         # drift is tried before motion, which errors of the membrane's model resemble
         other = self.moved_prior if prior is self.drift_prior else self.drift_prior

@@ -123,9 +123,11 @@ class Measurements:
     def by_nuisances(self) -> np.ndarray:
         """R = D B + E: change by a unit of each nuisance, (k, a)."""
         motions, errors = self.nuisances.motions, self.nuisances.errors
-        moved = self.jacobian @ motions.reshape(3 * len(motions), motions.shape[2])
-        rest = len(moved) - len(errors)
-        return np.hstack([moved, np.pad(errors, ((0, rest), (0, 0)))])
+        (count, unknowns), moving = self.jacobian.shape, motions.shape[2]
+        changes = np.zeros((count, moving + errors.shape[1]))
+        changes[:, :moving] = self.jacobian @ motions.reshape(unknowns, moving)
+        changes[: len(errors), moving:] = errors
+        return changes
 
     @cached_property
     def nuisances_weighed(self) -> np.ndarray:
@@ -139,15 +141,23 @@ class Measurements:
             weight=factor * self.weight,
             nuisances=replace(self.nuisances, mean=mean, root=root),
         )
-        other.__dict__["by_nuisances"] = self.by_nuisances  # which do not depend on them
+        kept = {"transposed", "by_nuisances"}  # which do not depend on them
+        kept |= {"nuisances_weighed", "information"} if factor == 1.0 else set()
+        known = vars(self) | {"by_nuisances": self.by_nuisances}
+        vars(other).update({name: known[name] for name in kept & known.keys()})
         return other
+
+    @cached_property
+    def information(self) -> np.ndarray:
+        """RᵀWR, (a, a)."""
+        information: np.ndarray = self.nuisances_weighed.T @ self.by_nuisances
+        return information
 
     @cached_property
     def nuisance_covariance(self) -> np.ndarray:
         """(Σ⁻¹ + RᵀWR)⁻¹: covariance of the amplitudes given everything else, (a, a)."""
         root = self.nuisances.root  # may be singular
-        data = self.nuisances_weighed.T @ self.by_nuisances
-        scaled = np.linalg.inv(np.eye(len(root)) + root.T @ data @ root)
+        scaled = np.linalg.inv(np.eye(len(root)) + root.T @ self.information @ root)
         return np.asarray(root @ scaled @ root.T)
 
     def change_of_amplitudes(self, change: np.ndarray) -> np.ndarray:

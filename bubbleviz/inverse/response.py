@@ -136,12 +136,16 @@ class LinearisedRubber(Tangent):
 
         The tangent of a light touch is that of the membrane at rest, where these forces are 0.
         """
-        usual = self._membrane.residual(x, 0.0)
-        gauge = self._membrane.gauge_pressure_pa
-        residuals = [v.residual(x, v.gauge_pressure_pa - gauge) - usual for v in self._variants]
-        if not residuals:
-            return np.zeros((3 * self._nodes, 0))
-        return self.motion(np.stack(residuals, axis=-1)).reshape(3 * self._nodes, -1)
+        if not self._variants:
+            return super().by_material(x)
+        residuals = self._membrane.residual_changes(self._variants, x)
+        return self.motion(residuals).reshape(3 * self._nodes, -1)
+
+    @cached_property
+    def bulge(self) -> np.ndarray:
+        """Motion under unit gas pressure, (n, 3), m/Pa."""
+        share = self._gas_share(self._by_gas) * (self._a @ self._by_gas)
+        return (self._by_gas - share * self._by_gas).reshape(-1, 3)
 
     def motion(self, force: np.ndarray) -> np.ndarray:
         """S f for forces (n, 3) in N, or several (n, 3, k): motion of the same shape, m."""

@@ -37,15 +37,12 @@ def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.nd
     if not len(nodes):
         return np.zeros((6, 6))
     unit = unit_wrenches(step, nodes)
-    by_material = [
-        change_by(step, step.measurements.jacobian @ motion) @ unit
-        for motion in step.tangent.by_material(step.state.x).T
-    ]
+    by_material = step.measurements.jacobian @ step.tangent.by_material(step.state.x)
+    wrenches = unit.T @ change_by(step, by_material)
     unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
     push = step.contact.pressure[:, None] * step.state.area_vectors
     covariance = _model_covariance(step.state.x, push, unknowns @ unit, friction * ~by_flow)
-    for change in by_material:
-        covariance += np.outer(change, change)
+    covariance += wrenches @ wrenches.T
     around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
     unit = unit_wrenches(step, around)
     alone = np.eye(len(unit))[:, len(around) + np.concatenate([own for own, _ in step.scaled])]

@@ -13,6 +13,7 @@ springs over all positions of nodes on a surface is γ0 times its area (a confor
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -175,6 +176,22 @@ class RubberMembrane:
         parts -= np.broadcast_to(pressure_pa, len(x))[self._corners] * facets.volume_gradient()
         return self._springs_pull(x) + self._gathered(parts) - self.rest_force
 
+    def residual_changes(self, others: Sequence[RubberMembrane], x: np.ndarray) -> np.ndarray:
+        """Residuals at `x` of the same mesh of other materials minus its own, (n, 3, others), N.
+
+        Each under its own gauge pressure.
+        """
+        facets, changes = self._facets(x), np.empty((*x.shape, len(others)))
+        area, by_volume = 0.5 * facets.double, facets.volume_gradient()
+        own, by_area = self._area_law(area)[0], _area_gradient(facets, 0.5)
+        forces = self._springs_pull(x) - self.rest_force
+        for k, other in enumerate(others):
+            parts = (other._area_law(area)[0] - own) * by_area
+            parts -= (other.gauge_pressure_pa - self.gauge_pressure_pa) * by_volume
+            changes[..., k] = other._springs_pull(x) - other.rest_force - forces
+            changes[..., k] += self._gathered(parts)
+        return changes
+
     def stress(self, x: np.ndarray) -> np.ndarray:
         """Cauchy stress times thickness of every triangle, (m, 3, 3), N/m."""
         facets = self._facets(x)
@@ -281,12 +298,10 @@ class RubberMembrane:
         return _Facets.of(corners.reshape(3, 3, -1))
 
     def _by_area(self, facets: _Facets) -> np.ndarray:
-        """Gradient of Σ ψ(A) by component and corner, (3, 3, m), N; ∂A/∂x_a = ½ n × e_a."""
-        double = facets.double
+        """Gradient of Σ ψ(A) by component and corner, (3, 3, m), N."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope, _ = self._area_law(0.5 * double)
-            along = 0.5 * slope / double * facets.vector
-        return _cross(along[:, None], facets.edges)
+            slope, _ = self._area_law(0.5 * facets.double)
+            return _area_gradient(facets, 0.5 * slope)
 
     def _spring_matrix(self) -> sparse.csr_array:
         """L₀ (n, n), N/m: μh times the cotangent Laplacian of the stress-free triangles."""
@@ -317,6 +332,11 @@ class RubberMembrane:
         flat, count = self._corners.ravel(), len(self.mesh.nodes)
         sums = [np.bincount(flat, part.ravel(), minlength=count) for part in parts]
         return np.stack(sums, axis=1)
+
+
+def _area_gradient(facets: _Facets, half: float | np.ndarray) -> np.ndarray:
+    """∂A/∂x_a = ½ n × e_a by component and corner, (3, 3, m), m, with `half` in place of ½."""
+    return _cross((half / facets.double * facets.vector)[:, None], facets.edges)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -65,6 +65,20 @@ def test_tangent_is_the_derivative_of_the_residual(mesh, prestretch, slack, kind
         assert abs(K - K.T).max() < 1e-12 * abs(K).max()
 
 
+@pytest.mark.parametrize("slack", [None, 2e-4])
+def test_residuals_of_other_materials_are_each_its_own(mesh, slack):
+    own = RubberMembrane.uniform(mesh, GAUGE, TENSION, 1.2, slack)
+    others = [
+        RubberMembrane.uniform(mesh, gauge, tension, prestretch, slack)
+        for gauge, tension, prestretch in ((GAUGE, TENSION, 1.3), (1.1 * GAUGE, 1.2 * TENSION, 1.2))
+    ]
+    x = mesh.nodes + moved(mesh, own, 1e-3, 3)
+    found = own.residual_changes(others, x)
+    for k, other in enumerate(others):
+        change = other.residual(x, other.gauge_pressure_pa - GAUGE) - own.residual(x, 0.0)
+        assert found[..., k] == pytest.approx(change, abs=1e-9 * np.abs(change).max())
+
+
 @pytest.mark.parametrize("prestretch", [1.1, None])
 def test_energy_is_invariant_to_rigid_motion(mesh, prestretch):
     membrane = RubberMembrane.uniform(mesh, GAUGE, TENSION, prestretch)
