@@ -190,8 +190,7 @@ class Iteration:
         )
         self._selecting, self._selections = True, 0
         self._steps = self._large_steps = self._stalled = self._settling = 0
-        self._best_misfit, self._motion_m, self._solve_ms = np.inf, 0.0, 0.0
-        self._normal_motion_m = 0.0
+        self._motion_m = self._normal_motion_m = self._solve_ms = 0.0
         self._force_n = self._state.nodal_force.sum(axis=0)
         self._force_change_n = np.zeros(3)
 
@@ -272,11 +271,12 @@ class Iteration:
             # Friction has not explained any of it yet: steps with too small a factor diverge.
             factor = observed.flow.noise_factor(np.zeros_like(self._state.x))
             self._hyper = self._hyper._replace(noise=noise.with_flow(factor))
-        judged = self._large or self._steps == 1
-        misfit = observed.misfit(observed.error_m) if judged else np.inf
-        poor = self._large and misfit >= _STALLED_SHARE * self._best_misfit
+        if self._steps == 1:
+            self._best = observed
+        poor = self._large and observed.misfit >= _STALLED_SHARE * self._best.misfit
         self._stalled = self._stalled + 1 if poor else 0
-        self._best_misfit = min(self._best_misfit, misfit)
+        if self._large and observed.misfit < self._best.misfit:
+            self._best = observed
         return observed
 
     def _restarts_from_rest(self, observed: LinearisedFrame) -> bool:

@@ -270,13 +270,17 @@ class LinearisedFrame:
         left: np.ndarray = self.error_m - self.view.jacobian @ motion.ravel() - image_error_m
         return left
 
-    def misfit(self, error_m: np.ndarray) -> float:
-        """χ² of errors (k,), minimised over the errors of the whole image."""
-        return float(error_m @ self._by_image.weighed(error_m))
+    @cached_property
+    def misfit(self) -> float:
+        """χ² of the residual, minimised over the errors of the whole image."""
+        return self._misfit(self.error_m)
 
     def fits_rest_better(self, error_m: np.ndarray) -> bool:
         """Whether the membrane at rest has a smaller misfit than errors (k,)."""
-        return self.misfit(error_m) > self.misfit(self.measured_m)
+        return self._misfit(error_m) > self._misfit(self.measured_m)
+
+    def _misfit(self, error_m: np.ndarray) -> float:
+        return float(error_m @ self._by_image.weighed(error_m))
 
     def without_image_errors(self, error_m: np.ndarray) -> np.ndarray:
         """Errors (k,) minus the fitted errors of the whole image."""
