@@ -35,6 +35,9 @@ from bubbleviz.rigid_object import RigidObject
 
 _MIN_FITNESS = 0.5  # share of the patch on the object below which the pose is lost
 _FASTEST = np.array([1.0, 10.0])  # of an object pressed into a bubble, m/s and rad/s
+_JUMP_M = 3.0 * START_DEVIATION[0]
+"""Motion of the contact's centre in a frame beyond which the object is taken to have jumped with
+it. Fits from farther away may end in another pose, as on the object's flank."""
 _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a frame, few so that no frame waits for the search; and in the first."""
@@ -113,11 +116,21 @@ class PoseTracker:
             if self._start is None:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
+        carried = self._carried(contact)
+        if np.linalg.norm(carried[:3, 3] - self._motion.T_B_O[:3, 3]) > _JUMP_M:
+            return Motion.at_rest(carried, START_DEVIATION, contact.center)
         gap = frame.time_s - self._good_s
         known = 0.0 <= gap <= _MAX_GAP_S
         if not known:  # jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
+
+    def _carried(self, contact: ContactPoints) -> np.ndarray:
+        """The last pose, moved like the contact since then, (4, 4)."""
+        assert self._motion is not None
+        T_B_O = self._motion.T_B_O.copy()
+        T_B_O[:3, 3] += contact.center - self._good_center
+        return T_B_O
 
     def _plausible(self, solution: Solution, frame: Frame, contact: ContactPoints) -> bool:
         if solution.fit.fitness < _MIN_FITNESS:
@@ -134,8 +147,7 @@ class PoseTracker:
         if self._motion is not None and self._tried <= 1:
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
             self._rivals = self._rivals[:0]
-            chosen = np.stack([self._motion.T_B_O] * 2)
-            chosen[1, :3, 3] += contact.center - self._good_center
+            chosen = np.stack([self._motion.T_B_O, self._carried(contact)])
         else:
             chosen = self._next_starts(contact)
         self._tried += 1

@@ -80,17 +80,16 @@ def test_tracking_loss_and_recovery(pipeline, source):
     assert last.deviation_m[2] < 5e-4 < 1e-2 < last.deviation_m[3]  # two flat feet slide and turn
 
 
-@pytest.mark.long
-def test_an_object_that_jumps_is_searched_for(pipeline, sensor):
+def test_an_object_that_jumps_is_found_at_its_contact(pipeline, sensor):
+    """Not where its flank fits the contact as well, 66° away."""
     here, far = upright(0.018, 0.0, 0.036), upright(-0.018, 0.0, 0.036)
-    path = np.concatenate([[here], np.repeat(far[None], 7, axis=0)])
-    jumping = HeldPress(
-        sensor, study_object("frustum"), path, DepthNoise(relative=0.005), nodes=4_000
-    )
+    path = np.stack([here, far, far])
+    noise = DepthNoise(relative=0.005)
+    jumping = HeldPress(sensor, study_object("frustum"), path, noise, nodes=4_000)
     pipeline.track(jumping.obj, here)
-    poses = [pipeline.process(jumping[k], PRODUCTS).pose for k in range(8)]
+    poses = [pipeline.process(jumping[k], PRODUCTS).pose for k in range(3)]
+    assert [pose.status for pose in poses] == ["ok", "ok", "ok"]
     assert close(poses[0], here)
-    assert poses[-1].status == "ok"
     # a flat tip: where it is and how it is tilted, not how it is turned
     assert np.linalg.norm(poses[-1].T_B_O[:3, 3] - far[:3, 3]) < 4e-3
     assert poses[-1].T_B_O[2, 2] > np.cos(np.radians(5.0))
