@@ -734,7 +734,7 @@ class GaussNewton:
 
     def contradicts(self, shape_pa: float, measured_pa: float | None) -> bool:
         """Whether p_v of the shape contradicts the measured one, if any."""
-        gas, gauge = self.bubble.gas, self.bubble.held_pressure_pa
+        gas, gauge = self.bubble.gas, (self.bubble.held_pressure_pa, self.bubble.gauge_sigma_pa)
         return measured_pa is not None and contradicts_measured_gas(
-            shape_pa, measured_pa, gas, gauge
+            shape_pa, measured_pa, gas, *gauge
         )

@@ -133,8 +133,14 @@ def gas_sigma(gas: Gas, measured_pa: float) -> float:
 
 
 def contradicts_measured_gas(
-    shape_pa: float, measured_pa: float, gas: Gas, gauge_pressure_pa: float
+    shape_pa: float,
+    measured_pa: float,
+    gas: Gas,
+    gauge_pressure_pa: float,
+    gauge_sigma_pa: float = 0.0,  # its standard deviation: the stiffness is as uncertain
 ) -> bool:
     """Whether p_v by the shape of the exact membrane contradicts the measured one."""
     noise_bound = IMPLAUSIBLE_MISFIT * gas_sigma(gas, measured_pa)
-    return abs(shape_pa - measured_pa) > max(noise_bound, GAS_LAG * gauge_pressure_pa)
+    by_stiffness = 1.96 * gauge_sigma_pa / gauge_pressure_pa * abs(measured_pa)
+    bound = max(noise_bound, GAS_LAG * gauge_pressure_pa, by_stiffness)
+    return abs(shape_pa - measured_pa) > bound

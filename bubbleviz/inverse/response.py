@@ -258,8 +258,8 @@ class Bubble(ABC):
     mesh : MembraneMesh
     gas : Gas
         P0 and V0 of the reference configuration.
-    held_pressure_pa : float
-        Gauge pressure of the reference configuration, Pa.
+    held_pressure_pa, gauge_sigma_pa : float
+        Gauge pressure of the reference configuration, and its standard deviation, Pa.
     tension_n_per_m : float
         Its mean tension.
     moving : (n,) bool array
@@ -271,6 +271,7 @@ class Bubble(ABC):
     mesh: MembraneMesh
     gas: Gas
     held_pressure_pa: float
+    gauge_sigma_pa = 0.0
     tension_n_per_m: float
     moving: np.ndarray
     caveat = ""
@@ -356,7 +357,9 @@ class RubberBubble(Bubble):
     ) -> None:
         self.membrane, self.gas, self._variants = membrane, gas, tuple(variants)
         self.mesh, self.moving = membrane.mesh, membrane.moving
-        self.held_pressure_pa = membrane.gauge_pressure_pa
+        self.held_pressure_pa = gauge_pa = membrane.gauge_pressure_pa
+        raised = (each.gauge_pressure_pa - gauge_pa for each in variants)
+        self.gauge_sigma_pa = max(raised, default=0.0)
         self.tension_n_per_m = membrane.mean_tension
         rest = membrane.mesh.nodes
         self._rest_volume = membrane.volume(rest)

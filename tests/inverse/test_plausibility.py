@@ -70,15 +70,17 @@ def test_a_gas_pressure_off_by_more_than_its_errors_contradicts_the_shape(sign):
     """A twentieth of the gauge pressure, or five deviations: 10 Pa, 2 % of p_v and the zero."""
     gas = Gas.of(SENSOR.pneumatics, estimator().mesh)
 
-    def contradicted(off_pa, measured_pa, gas=gas):
+    def contradicted(off_pa, measured_pa, gas=gas, gauge_sigma_pa=0.0):
         asked_pa = measured_pa + sign * off_pa
-        return contradicts_measured_gas(asked_pa, measured_pa, gas, GAUGE)
+        return contradicts_measured_gas(asked_pa, measured_pa, gas, GAUGE, gauge_sigma_pa)
 
     assert not contradicted(0.99 * 0.05 * GAUGE, 100.0) and contradicted(0.0505 * GAUGE, 100.0)
     five = 5.0 * np.hypot(GAS_NOISE * gas.P0, 0.02 * 4000.0)
     assert five > 0.05 * GAUGE
     assert not contradicted(0.99 * five, 4000.0) and contradicted(1.01 * five, 4000.0)
     assert not contradicted(900.0, 100.0, replace(gas, zero_sigma_pa=200.0))
+    stiffness = {"gauge_sigma_pa": 0.3 * GAUGE}  # as uncertain as the gauge pressure
+    assert not contradicted(500.0, 1000.0, **stiffness) and contradicted(600.0, 1000.0, **stiffness)
 
 
 def test_gas_pressures_from_deflated_to_pressed_flat_are_plausible():
