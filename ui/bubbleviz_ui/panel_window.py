@@ -160,7 +160,7 @@ class PanelWindow(QMainWindow):
         self.reading = Worker("reading")
         self._memory = MemoryRelease(state)
         self._docks: dict[str, Dock] = {}
-        self._side_width: int | None = SIDE_WIDTH  # None: that of the next layout
+        self._side_width = SIDE_WIDTH
         layout = self.layout()
         assert layout is not None
         layout.setSizeConstraint(QLayout.SizeConstraint.SetNoConstraint)  # see `_fit`
@@ -228,7 +228,6 @@ class PanelWindow(QMainWindow):
     def _fit(self) -> None:
         """Turn docks into tabs if the window would otherwise grow, perhaps beyond the screen."""
         for dock in self._docks.values():
-            dock.learn_height()
             if dock.too_low:
                 self._make_tabs(dock)
         self._fit_width()
@@ -256,15 +255,22 @@ class PanelWindow(QMainWindow):
             spare = self.view.height() - self.view.minimumHeight() if name == "bottom" else 0
             self.tabs.part(side, spare)
 
-    def restore_layout(self, layout: QByteArray) -> None:
-        """Restore the layout of a session by `saveState`, and keep its sizes of docks."""
-        self._side_width, docks = None, self._docks.values()
-        for dock in docks:
-            dock.forget_height()
+    @property
+    def dragged(self) -> dict[str, int]:
+        """Sizes that the operator chose, which the present window may not have room for."""
+        heights = {name: dock.above_hint for name, dock in self._docks.items() if dock.above_hint}
+        return {"right": self._side_width, **heights}
+
+    def restore_layout(self, layout: QByteArray, dragged: dict[str, int]) -> None:
+        """Restore the layout of a session by `saveState`, with its dragged sizes."""
+        self._side_width = dragged.get("right", SIDE_WIDTH)
+        for name, dock in self._docks.items():
+            dock.above_hint = dragged.get(name, 0)
             dock.restoring = True
         self.restoreState(layout)
-        for dock in docks:
+        for dock in self._docks.values():
             dock.restoring = False
+            dock.restore_height()
 
     def _fit_width(self, *, dragged: bool = False) -> None:
         """Keep the width of the panels at the right, or take it back after one that needed more.
@@ -275,8 +281,8 @@ class PanelWindow(QMainWindow):
         if not shown or (QApplication.mouseButtons() and not dragged):  # while it is dragged
             return
         width, least = shown[0].width(), max(dock.minimumSizeHint().width() for dock in shown)
-        kept = max(least, self._side_width or 0)
-        if self._side_width is None or (dragged and width != kept):
+        kept = max(least, self._side_width)
+        if dragged and width != kept:
             self._side_width = width
         elif width > kept:
             self.resizeDocks(shown[:1], [kept], Qt.Orientation.Horizontal)

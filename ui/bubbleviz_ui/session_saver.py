@@ -89,7 +89,8 @@ class SessionSaver(QObject):
             user = UserFile()
             self._window.messages.add("error", str(error))
         self.recent, self.hinted = user.recent, user.hinted
-        self._window.hint.setVisible(not self.hinted)
+        cramped = bool(user.session.tabbed_sides)  # as when the window made these tabs
+        self._window.hint.setVisible(not (self.hinted or cramped))
         self.recent_changed.emit()
         self._timer.start()
         return user.session
@@ -132,6 +133,7 @@ class SessionSaver(QObject):
                 "choices": choices,
                 "geometry": _base64(window.saveGeometry()),
                 "layout": _base64(window.saveState()),
+                "dragged": window.dragged,
                 "tabbed_sides": tuple(str(side.name) for side in window.tabs.made),
                 "shortcuts": self._keys(),
             }
@@ -207,7 +209,7 @@ class SessionSaver(QObject):
             if saved.geometry:
                 window.restoreGeometry(_bytes(saved.geometry))
             if saved.layout:
-                window.restore_layout(_bytes(saved.layout))
+                window.restore_layout(_bytes(saved.layout), saved.dragged)
                 named = Qt.DockWidgetArea.__members__
                 window.tabs.made = {named[name] for name in saved.tabbed_sides if name in named}
             window.status.setVisible("status" in settings.panels)

@@ -308,11 +308,11 @@ def test_height_of_plots_statistics_of_a_range_and_values_at_cursor_and_mouse(dr
         saver.apply_settings(saved)
         driver.wait_until_shown()
         driver.wait(lambda: height() == full + 60)
-    # its first height, if it was closed in the session
+    # also if it was closed in the session
     dock.hide()
     saver.apply_settings(saver.snapshot())
     driver.trigger("View › Plots")
-    driver.wait(lambda: height() == full)
+    driver.wait(lambda: height() == full + 60)
     # statistics of a range
     panel = opened(driver, "force", "gas", "residual")
     table, force = panel.statistics, driver.state.history.quantity("force_n")

@@ -83,6 +83,26 @@ def test_layout_with_tabs_is_restored_into_a_window_that_was_not_shown(
         )
 
 
+def test_plots_are_as_high_again_at_each_start(drive, new_window):
+    """Also those that opened in a window with too little room for their height."""
+    driver = drive(DentSource)
+    driver.window.use_scene(load_scene("review"))
+    driver.resize(1280, 900)
+    driver.wait_until_shown()
+    window = driver.window
+    height = window.panels["plots"].height()
+    for _ in range(2):
+        window.resize(675, 427)
+        driver.wait(lambda shown=window: shown.panels["plots"].height() < height)
+        saved = window.session_saver.snapshot()
+        window = new_window()
+        window.session_saver.apply_settings(saved)
+        window.show()
+        driver.wait(lambda shown=window: shown.panels["plots"].height() < height)
+        window.resize(1280, 900)
+        driver.wait(lambda shown=window: shown.panels["plots"].height() >= height)
+
+
 def test_session_file_restores_elsewhere_with_or_without_its_recording(
     drive, files, open_press, tmp_path
 ):

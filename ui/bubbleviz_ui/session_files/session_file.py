@@ -105,6 +105,8 @@ class SavedSession(BaseModel):
     # geometry, layout: Position of the window and its docks, Qt's data in Base64
     geometry: str = ""
     layout: str = ""
+    # What the operator dragged: width of the right side, heights of docks above their size hints
+    dragged: dict[str, int] = {}
     tabbed_sides: tuple[str, ...] = ()  # Where its docks are tabs for lack of room
     shortcuts: dict[str, str] = {}  # Changed keys by action
 

@@ -59,7 +59,7 @@ class Dock(QDockWidget):
         self.home, self._narrower_than = home or self, narrower_than
         self._sized, self._maximises = sized, home is not None and not sized
         self._opened, self._hint = False, 0
-        self._above_hint: int | None = 0
+        self.above_hint = 0  # What the operator dragged, screen pixels
 
     def setVisible(self, visible: bool) -> None:
         """Show or hide; open in front of its tabs."""
@@ -72,8 +72,6 @@ class Dock(QDockWidget):
         if self.home is not self and narrow and not self.placed:
             window.tabifyDockWidget(self.home, self)
         self._opened = self.placed = True
-        if self._above_hint is None:  # closed in the session, which so has no height for it
-            self._above_hint = 0
         self.opened_s = time.monotonic()
         super().setVisible(visible)
         self.raise_()
@@ -118,17 +116,8 @@ class Dock(QDockWidget):
 
     def keep_height(self) -> None:
         """Keep the present height, which the operator chose."""
-        if self._in_front:
-            self._above_hint = self.height() - self.sizeHint().height()
-
-    def forget_height(self) -> None:
-        """Keep the height of the next layout, which is that of a session."""
-        self._above_hint = None
-
-    def learn_height(self) -> None:
-        """Keep the height of this layout after `forget_height`."""
-        if self._above_hint is None:
-            self.keep_height()
+        if self._sized and self._in_front:
+            self.above_hint = self.height() - self.sizeHint().height()
 
     def restore_height(self) -> None:
         """Take the height to be kept unless hidden, by a tab too."""
@@ -138,8 +127,8 @@ class Dock(QDockWidget):
     def take_height(self) -> None:
         """Take the height to be kept, if the window has room for it."""
         window, self._hint = self.parentWidget(), self.sizeHint().height()
-        if self._sized and self._above_hint is not None and isinstance(window, QMainWindow):
-            height = self._hint + self._above_hint
+        if self._sized and isinstance(window, QMainWindow):
+            height = self._hint + self.above_hint
             window.resizeDocks([self], [height], Qt.Orientation.Vertical)
 
 

@@ -33,7 +33,7 @@ GAP = 16
 """Distance of a notice from the menus, screen pixels."""
 MOST_LINES = 2
 """Lines of a text seen without scrolling: the 3-D view keeps its height in a small window."""
-HINT = "Drop a recording here or press Ctrl+O. Space plays, ← → step; Ctrl+K: all commands."
+HINT = "Drop a recording or press Ctrl+O. Space plays, ← → step; Ctrl+K: commands."
 
 
 class ScrolledText(QScrollArea):
