@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +85,12 @@ class Files(QObject):
 
     # -- chosen in a dialog -------------------------------------------------------------------
 
+    def _choose(self, title: str, kinds: str, of: str, use: Callable[[Path], object]) -> None:
+        """Ask for a file and use it."""
+        path = file_to_open(self._window, title, kinds, of=of)
+        if path is not None:
+            use(path)
+
     def choose_recordings(self) -> None:
         """Ask for a recording to open, or two."""
         paths = files_to_open(self._window, "Open recording", RECORDINGS, of="recording")
@@ -98,22 +105,16 @@ class Files(QObject):
 
     def choose_sensor(self) -> None:
         """Ask for a sensor file to use."""
-        path = file_to_open(self._window, "Open sensor", SENSOR_FILES, of="sensor")
-        if path is not None:
-            self._opening.open_sensor_file(path)
+        self._choose("Open sensor", SENSOR_FILES, "sensor", self._opening.open_sensor_file)
 
     def choose_truth(self) -> None:
         """Ask for the ground truth of the open recording."""
         kinds = "Ground truth (*.npz);;All files (*)"
-        path = file_to_open(self._window, "Open ground truth", kinds, of="recording")
-        if path is not None:
-            self._opening.use_ground_truth(path)
+        self._choose("Open ground truth", kinds, "recording", self._opening.use_ground_truth)
 
     def choose_session(self) -> None:
         """Ask for a session to open."""
-        path = file_to_open(self._window, "Open session", SESSIONS, of="session")
-        if path is not None:
-            self._saver.open(path)
+        self._choose("Open session", SESSIONS, "session", self._saver.open)
 
     def save_session(self) -> None:
         """Ask where to save the session."""

@@ -30,7 +30,7 @@ from bubbleviz_ui.panels.status_bar import PerformancePopup
 from bubbleviz_ui.panels.view_tools_panel import VIEWS
 from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.session_saver import SessionSaver
-from bubbleviz_ui.shell.binding import bind, bind_exclusive, bind_membership
+from bubbleviz_ui.shell.binding import Binding, bind_exclusive, bind_membership
 from bubbleviz_ui.shell.command_palette import CommandPalette
 from bubbleviz_ui.shell.settings_dialog import SettingsDialog
 from bubbleviz_ui.shell.shortcuts import DYNAMIC, Shortcuts, ShortcutsDialog
@@ -241,8 +241,8 @@ class Menus(QObject):
         menu.addSeparator()
         for title, direction, keys in (("Slower", -1, "Ctrl+Down"), ("Faster", 1, "Ctrl+Up")):
             self._add(menu, title, partial(self._change_speed, direction), keys)
-        bind(self._switch(menu, "&Every frame", "E"), state, "every_frame")
-        bind(self._switch(menu, "&Loop", "L"), state, "loop")
+        Binding(self._switch(menu, "&Every frame", "E"), state, "every_frame")
+        Binding(self._switch(menu, "&Loop", "L"), state, "loop")
         self._add(menu, "Start range here", lambda: self._range_end(0), "[")
         self._add(menu, "End range here", lambda: self._range_end(1), "]")
         self._add(menu, "Play all frames", lambda: state.set_range(None), "Backspace")

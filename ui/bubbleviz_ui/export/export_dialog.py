@@ -108,11 +108,7 @@ class ExportDialog(QDialog):
         self._state.messages.added.connect(self._show_message)
         self._state.source_changed.connect(self.show_all)
         self._state.range_changed.connect(self.show_all)
-        self._state.settings_changed.connect(self._on_settings)
-
-    def _on_settings(self, names: frozenset[str]) -> None:
-        if names & {"picture_size", "speed"}:
-            self._show()
+        self._state.follow({"picture_size", "speed"}, self._show)
 
     def _offer_frames(self) -> None:
         """Offer the range on the timeline, if any, and all frames."""

@@ -30,7 +30,7 @@ from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import FramePlot
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.binding import bind, control
+from bubbleviz_ui.shell.binding import Binding, control
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
@@ -97,10 +97,10 @@ class KappaPanel(QWidget):
         )
 
     def _bind(self, state: SessionState) -> None:
-        bind(self.automatic, state, "kappa", lambda kappa: kappa is None, self._automatic)
+        Binding(self.automatic, state, "kappa", lambda kappa: kappa is None, self._automatic)
         self._kappa = (
-            bind(self.slider, state, "kappa", _to_steps, _to_kappa),
-            bind(self.box, state, "kappa"),
+            Binding(self.slider, state, "kappa", _to_steps, _to_kappa),
+            Binding(self.box, state, "kappa"),
         )
         state.follow({"kappa"}, self._show_kappa_controls)
         self._show_kappa_controls()

@@ -28,7 +28,7 @@ from bubbleviz_ui.model.settings import Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.panels.profile_plot import ProfilePlot
-from bubbleviz_ui.shell.binding import bind, control, form
+from bubbleviz_ui.shell.binding import Binding, control, form
 from bubbleviz_ui.shell.dock import fill, push_button, tool_button
 from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
@@ -115,7 +115,7 @@ class ViewTools(QWidget):
         self.section_at.setRange(-SECTION_STEPS, SECTION_STEPS)
         self.section_at.setToolTip(Settings.info("section_at_m").tip)
         self.section_text = QLabel()
-        self.width_box, self.height_box = _pixels(), _pixels()
+        self.width_box, self.height_box = (_pixels(state, side) for side in range(2))
         self.save = push_button(
             "Save…", "Save a picture of the 3-D view at this size, PNG", self._choose_file
         )
@@ -142,15 +142,13 @@ class ViewTools(QWidget):
         self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
 
     def _bind(self, state: SessionState) -> None:
-        self._at = bind(
+        self._at = Binding(
             self.section_at,
             state,
             "section_at_m",
             lambda at_m: round(SECTION_STEPS * at_m / self._extent_m),
             lambda step: self._extent_m * step / SECTION_STEPS,
         )
-        for side, box in enumerate((self.width_box, self.height_box)):
-            bind(box, state, "picture_size", itemgetter(side), lambda _: self._picture_size())
 
     def _connect(self, controller: Controller) -> None:
         self.turn.toggled.connect(self.turntable.set_turning)
@@ -217,12 +215,9 @@ class ViewTools(QWidget):
 
     # -- pictures -----------------------------------------------------------------------------
 
-    def _picture_size(self) -> tuple[int, int]:
-        return self.width_box.value(), self.height_box.value()
-
     def save_picture(self, path: Path) -> None:
         """Save a screenshot of the 3-D view at the chosen size."""
-        pixels = picture_of(self._view, *self._picture_size())
+        pixels = picture_of(self._view, *self._state.settings.picture_size)
         height, width = pixels.shape[:2]
         image = QImage(pixels.data, width, height, 3 * width, QImage.Format.Format_RGB888)
         write = partial(write_picture, path, QPixmap.fromImage(image))
@@ -236,12 +231,16 @@ class ViewTools(QWidget):
             self.save_picture(path)
 
 
-def _pixels() -> QSpinBox:
+def _pixels(state: SessionState, side: int) -> QSpinBox:
+    """Box of the width (0) or height (1) of pictures."""
+
+    def with_side(pixels: int) -> tuple[int, ...]:
+        size = state.settings.picture_size
+        return (pixels, size[1]) if side == 0 else (size[0], pixels)
+
     info = Settings.info("picture_size")
-    box = QSpinBox(minimum=int(info.low), maximum=int(info.high))
-    box.setKeyboardTracking(False)
+    box: QSpinBox = control(state, "picture_size", info, itemgetter(side), with_side)
     box.setButtonSymbols(QSpinBox.ButtonSymbols.NoButtons)
-    box.setToolTip(info.tip)
     return box
 
 

@@ -41,11 +41,12 @@ class Binding(QObject):
 
     def __init__(
         self,
-        control: Control,
+        control: Control,  # The items of a combo box have the values as their data
         state: SessionState,
-        field: str,
-        shown: Callable[[Any], Any],
-        chosen: Callable[[Any], Any],
+        field: str,  # Of `Settings`
+        # Control value of a settings value; None leaves a button or number unchanged
+        shown: Callable[[Any], Any] = _identity,
+        chosen: Callable[[Any], Any] = _identity,  # Settings value of a control value
     ) -> None:
         super().__init__(control)
         self._control, self._state, self._field = control, state, field
@@ -74,18 +75,6 @@ class Binding(QObject):
             self.refresh()
 
 
-def bind(
-    control: Control,  # The items of a combo box have the values as their data
-    state: SessionState,
-    field: str,  # Of `Settings`
-    # Control value of a settings value; None leaves a button or number unchanged
-    shown: Callable[[Any], Any] = _identity,
-    chosen: Callable[[Any], Any] = _identity,  # Settings value of a control value
-) -> Binding:
-    """Bind a control to a field of the settings, in both directions."""
-    return Binding(control, state, field, shown, chosen)
-
-
 def bind_membership(control: Control, state: SessionState, field: str, name: str) -> None:
     """Bind a checkable button or action to the membership of a name in a set."""
 
@@ -93,7 +82,7 @@ def bind_membership(control: Control, state: SessionState, field: str, name: str
         names: frozenset[str] = getattr(state.settings, field)
         return names | {name} if on else names - {name}
 
-    bind(control, state, field, lambda names: name in names, chosen)
+    Binding(control, state, field, lambda names: name in names, chosen)
 
 
 def bind_exclusive(control: Control, state: SessionState, field: str, option: str) -> None:
@@ -102,7 +91,7 @@ def bind_exclusive(control: Control, state: SessionState, field: str, option: st
     def chosen(on: bool) -> str:
         return option if on else getattr(state.settings, field)
 
-    bind(control, state, field, lambda value: value == option, chosen)
+    Binding(control, state, field, lambda value: value == option, chosen)
 
 
 def control(
@@ -117,7 +106,7 @@ def control(
     box = widget(info)
     is_number = isinstance(box, QSpinBox | QDoubleSpinBox)
     number_for_none = info.low if info.number_for_none is None else info.number_for_none
-    optional = getattr(Settings(), field) is None or get_part is not _identity
+    optional = get_part(getattr(Settings(), field)) is None
 
     def shown(value: Any) -> Any:
         value = get_part(value)
@@ -137,7 +126,7 @@ def control(
             value = None if optional and value == number_for_none else value
         return with_part(value)
 
-    bind(box, state, field, shown, chosen)
+    Binding(box, state, field, shown, chosen)
     return box
 
 
