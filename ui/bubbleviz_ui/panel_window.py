@@ -219,7 +219,8 @@ class PanelWindow(QMainWindow):
         done = super().event(event)
         if event.type() == QEvent.Type.LayoutRequest and self.isVisible():
             self._fit()
-        elif event.type() == QEvent.Type.MouseButtonRelease:  # of a line between docks
+        elif event.type() == QEvent.Type.MouseButtonRelease and event.isAccepted():
+            # of a line between docks: other clicks are left to the window's parent
             self._fit_width(dragged=True)
             for dock in self._docks.values():
                 dock.keep_height()
