@@ -257,7 +257,13 @@ class Pipeline:
         if "traction" in needed:
             _ = self.flow_observer
 
-    def track(self, obj: RigidObject | None, initial_pose: np.ndarray | None = None) -> None:
+    def track(
+        self,
+        obj: RigidObject | None,
+        initial_pose: np.ndarray | None = None,
+        *,
+        thorough: bool = False,
+    ) -> None:
         """Track an object from the next frame on, or none.
 
         Parameters
@@ -265,6 +271,8 @@ class Pipeline:
         obj : RigidObject or None
         initial_pose : (4, 4) array, optional
             T_B_O in the next frame; None: searched.
+        thorough : bool
+            Each frame compares all poses that are possible, not only a few, and may take seconds.
 
         Raises
         ------
@@ -277,7 +285,9 @@ class Pipeline:
             return
         from bubbleviz.pose import PoseTracker  # open3d takes long to load
 
-        self.tracker = PoseTracker(self.estimator, obj, initial_pose, membrane=self.model.rubber)
+        self.tracker = PoseTracker(
+            self.estimator, obj, initial_pose, membrane=self.model.rubber, thorough=thorough
+        )
 
     @property
     def object(self) -> RigidObject | None:

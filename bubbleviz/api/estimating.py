@@ -41,6 +41,7 @@ from bubbleviz.recordings import (
 from bubbleviz.result import TRUSTED, Estimate, Pose, PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
+from bubbleviz.wording import count_of
 from bubbleviz.zeros import SEARCH_POINTS, Zeros, zeros_of
 
 if TYPE_CHECKING:
@@ -306,17 +307,17 @@ def track(
     with OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
         refuse_input(out, *pipeline.model.sensor.files)
-        pipeline.track(obj, initial_pose)
+        pipeline.track(obj, initial_pose, thorough=True)
         zeros, run = _new_run(chosen, name, pipeline, solver, zero_gas, out)
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
         frame_solver = FrameSolver(pipeline, products, zeros=zeros)
-        others: str | None = None
+        ambiguous: list[tuple[int, Pose]] = []
         for result in _results(chosen, frame_solver, progress):
             run.add(result, keep=out is None)
-            if others is None and result.pose is not None and result.pose.status == "ok":
-                others = _other_poses(result.frame.index, result.pose)
-        run.warn(chosen.note, *frame_solver.warnings("recording"), others or "")
+            if result.pose is not None and result.pose.status == "ok" and len(result.pose.others):
+                ambiguous.append((result.frame.index, result.pose))
+        run.warn(chosen.note, *frame_solver.warnings("recording"), _other_poses(ambiguous))
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -502,15 +503,16 @@ _REASONS: dict[PoseStatus, str] = {
 }
 
 
-def _other_poses(index: int, pose: Pose) -> str:
-    """What to do if other poses are as likely as the one found; empty if there are none."""
-    if not len(pose.others):
+def _other_poses(ambiguous: list[tuple[int, Pose]]) -> str:
+    """What to do where other poses are as likely as the one found; empty if that is nowhere."""
+    if not ambiguous:
         return ""
+    last, pose = ambiguous[-1]
     numbers = (" ".join(f"{each:.4f}" for each in pose_numbers(other)) for other in pose.others)
     return (
-        f"in frame {index}, where the object was searched for, other poses fit as well "
-        f"({len(pose.others)} found): if the object is turned in the result, start from one of "
-        f"them (--init): {', '.join(map(repr, numbers))}"
+        f"in {count_of(len(ambiguous), 'frame')} (frame {last} the last) other poses fit as well: "
+        f"if the object is turned there, start in frame {last} from one of these (--frames, "
+        f"--init): {', '.join(map(repr, numbers))}"
     )
 
 

@@ -2,7 +2,7 @@
 
 The object is lost if too little of the patch lies on it, if it would have moved faster than hands
 and robots do, or if there is no contact. Then the last good pose is kept, and every frame tries a
-few more initial poses, so that no frame waits for the search.
+few more initial poses, so that no live frame waits for the search; a recorded frame tries them all.
 
 A light contact fits many poses. A pose found by search is compared with the initial poses not tried
 yet, and with those that fit as well, until they are refuted. While some are untried and the contact
@@ -40,7 +40,7 @@ _JUMP_M = 3.0 * START_DEVIATION[0]
 it. Fits from farther away may end in another pose, as on the object's flank."""
 _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
-"""Initial poses tried in a frame, few so that no frame waits for the search; and in the first."""
+"""Initial poses tried in a live frame, few so that none waits for the search; and in the first."""
 _FINALISTS_AT_FIRST = 2  # the best of these, which are refined
 _UNLIKELY = 0.05  # share of true poses whose misfit counts as a contradiction
 _SAME = 1.0 + 2.0 * np.cos(np.pi / TURNS)  # trace of a turn by half the angle between starts
@@ -62,6 +62,7 @@ class PoseTracker:
         start: np.ndarray | None = None,
         *,
         membrane: RubberMembrane,  # that the object presses into, on the estimator's mesh
+        thorough: bool = False,  # whether a frame compares all initial poses, not only a few
     ) -> None:
         check_size(obj, estimator.mesh)
         self.model = ObjectSurface(obj)
@@ -69,6 +70,7 @@ class PoseTracker:
         self._solver = Solver(registration, estimator, membrane)
         self._finder = InitialPoseFinder(self.model)
         self._mesh, self._resolution_m = estimator.mesh, estimator.resolution_m
+        self._thorough = thorough
         self.reset(start)
 
     def reset(self, start: np.ndarray | None = None) -> None:
@@ -155,7 +157,7 @@ class PoseTracker:
         return self._solver.best(frame, contact, chosen, finalists)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
-        """One or two of the poses that fit as well, and some not tried yet, more at first."""
+        """One or two poses that fit as well, and some not tried yet, more at first; or all."""
         if not len(self._waiting) and not len(self._rivals):
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._motion is None and self._tried == 0
@@ -164,6 +166,8 @@ class PoseTracker:
             poses[:, :3, 3] += contact.center - self._waiting_at
         self._waiting_at = contact.center
         rivals = 2 if len(self._waiting) else 1
+        if self._thorough:
+            count, rivals = len(self._waiting), len(self._rivals)
         self._compared, self._rivals = self._rivals[:rivals], self._rivals[rivals:]
         chosen, self._waiting = self._waiting[:count], self._waiting[count:]
         return np.concatenate([self._compared, chosen])

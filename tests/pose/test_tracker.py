@@ -8,6 +8,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
+import bubbleviz as bv
 from bubbleviz.camera import ImageErrors, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import ObjectSurface, build_mesh
@@ -158,6 +159,21 @@ def test_a_pose_that_only_a_light_contact_fits_is_replaced_or_lost(
     assert any(len(pose.others) and not close(pose, T) for pose, T in zip(poses, path, strict=True))
     assert poses[-1].status == "ok" or not found
     assert poses[-1].status == "lost" or close(poses[-1], path[-1])
+
+
+def test_in_a_recording_all_initial_poses_are_compared(sensor):
+    """A box with three unlike faces: a live frame tries a few poses, none of them the true one."""
+    mesh = trimesh.creation.box((0.018, 0.012, 0.010))
+    box = RigidObject("box", np.array(mesh.vertices), np.array(mesh.faces))
+    T = turned("z", 25.0) @ turned("y", 8.0)
+    T[2, 3] = touching_height(box, T, build_mesh(sensor)) - 3e-3
+    pressed = SyntheticSource(sensor, box, T[None], DepthNoise(relative=0.002), nodes=2_500)
+    (row,) = bv.track([pressed[0]], box, sensor)
+    poses = np.concatenate([row.result.pose.T_B_O[None], row.result.pose.others])
+    turns = np.swapaxes(poses[:, :3, :3], 1, 2) @ T[:3, :3]
+    # up to half turns, which leave the box as it is
+    nearest = np.abs(np.diagonal(turns, axis1=1, axis2=2)).min(axis=1).max()
+    assert nearest > np.cos(np.radians(15.0))
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, 0.2, 0.5), None])
