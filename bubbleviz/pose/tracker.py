@@ -2,7 +2,7 @@
 
 The object is lost if too little of the patch lies on it, if it would have moved faster than hands
 and robots do, or if there is no contact. Then the last good pose is kept, and every frame tries a
-few more initial poses, so that no live frame waits for the search; a recorded frame tries them all.
+few more initial poses, so that no live frame waits for the search; in a recording, all others.
 
 A light contact fits many poses. A pose found by search is compared with the initial poses not tried
 yet, and with those that fit as well, until they are refuted. While some are untried and the contact
@@ -36,8 +36,9 @@ from bubbleviz.rigid_object import RigidObject
 _MIN_FITNESS = 0.5  # share of the patch on the object below which the pose is lost
 _FASTEST = np.array([1.0, 10.0])  # of an object pressed into a bubble, m/s and rad/s
 _JUMP_M = 3.0 * START_DEVIATION[0]
-"""Motion of the contact's centre in a frame beyond which the object is taken to have jumped with
-it. Fits from farther away may end in another pose, as on the object's flank."""
+"""Median distance of the contact from the object where it was last, beyond which it is taken to
+have jumped with its contact. Fits from farther away may end in another pose, as on its flank; a
+contact that hops from one foot of an object to another stays on it."""
 _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a live frame, few so that none waits for the search; and in the first."""
@@ -118,9 +119,11 @@ class PoseTracker:
             if self._start is None:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
-        carried = self._carried(contact)
-        if np.linalg.norm(carried[:3, 3] - self._motion.T_B_O[:3, 3]) > _JUMP_M:
-            return Motion.at_rest(carried, START_DEVIATION, contact.center)
+        T = self._motion.T_B_O
+        local = (contact.points - T[:3, 3]) @ T[:3, :3]
+        away_m = np.linalg.norm(local - self.model.closest(local).place, axis=1)
+        if np.median(away_m) > _JUMP_M:
+            return Motion.at_rest(self._carried(contact), START_DEVIATION, contact.center)
         gap = frame.time_s - self._good_s
         known = 0.0 <= gap <= _MAX_GAP_S
         if not known:  # jump in the recording, or another one
