@@ -510,9 +510,9 @@ def _other_poses(ambiguous: list[tuple[int, Pose]]) -> str:
     last, pose = ambiguous[-1]
     numbers = (" ".join(f"{each:.4f}" for each in pose_numbers(other)) for other in pose.others)
     return (
-        f"in {count_of(len(ambiguous), 'frame')} (frame {last} the last) other poses fit as well: "
-        f"if the object is turned there, start in frame {last} from one of these (--frames, "
-        f"--init): {', '.join(map(repr, numbers))}"
+        f"in {count_of(len(ambiguous), 'frame')} other poses fit as well, last in frame {last}: if "
+        "the object is turned there, start in that frame from one of these (--frames, --init): "
+        f"{', '.join(map(repr, numbers))}"
     )
 
 

@@ -78,7 +78,7 @@ def test_a_search_lists_the_other_poses_that_fit_as_well(tmp_path):
     output_of("simulate", *given, tmp_path / "rec.mcap", "--path", tmp_path / "path.csv")
     command = "pose", tmp_path / "rec.mcap", *given, tmp_path / "poses.csv", "--overwrite"
     told = run(*command).stderr
-    assert "in 1 frame (frame 0 the last) other poses fit as well" in told
+    assert "in 1 frame other poses fit as well, last in frame 0" in told
     others = re.findall("'([^']+)'", told)
     assert len(others) >= 2
     for each in others:
