@@ -36,9 +36,9 @@ from bubbleviz.rigid_object import RigidObject
 _MIN_FITNESS = 0.5  # share of the patch on the object below which the pose is lost
 _FASTEST = np.array([1.0, 10.0])  # of an object pressed into a bubble, m/s and rad/s
 _JUMP_M = 3.0 * START_DEVIATION[0]
-"""Median distance of the contact from the object where it was last, beyond which it is taken to
-have jumped with its contact. Fits from farther away may end in another pose, as on its flank; a
-contact that hops from one foot of an object to another stays on it."""
+"""Motion of the contact's centre, and median distance of the contact from the object at its last
+pose, beyond which the object is taken to have jumped with it. Fits from farther away may end in
+another pose, as on its flank. A contact that hops from one foot to another stays on the object."""
 _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a live frame, few so that none waits for the search; and in the first."""
@@ -119,16 +119,21 @@ class PoseTracker:
             if self._start is None:
                 return None
             return Motion.at_rest(self._start, START_DEVIATION, contact.center)
-        T = self._motion.T_B_O
-        local = (contact.points - T[:3, 3]) @ T[:3, :3]
-        away_m = np.linalg.norm(local - self.model.closest(local).place, axis=1)
-        if np.median(away_m) > _JUMP_M:
+        if self._has_jumped(contact, self._motion.T_B_O):
             return Motion.at_rest(self._carried(contact), START_DEVIATION, contact.center)
         gap = frame.time_s - self._good_s
         known = 0.0 <= gap <= _MAX_GAP_S
         if not known:  # jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
+
+    def _has_jumped(self, contact: ContactPoints, T_B_O: np.ndarray) -> bool:
+        """Whether the contact has moved, and off the object at its last pose (4, 4)."""
+        if np.linalg.norm(contact.center - self._good_center) <= _JUMP_M:
+            return False
+        local = (contact.points - T_B_O[:3, 3]) @ T_B_O[:3, :3]
+        away_m = np.linalg.norm(local - self.model.closest(local).place, axis=1)
+        return bool(np.median(away_m) > _JUMP_M)
 
     def _carried(self, contact: ContactPoints) -> np.ndarray:
         """The last pose, moved like the contact since then, (4, 4)."""

@@ -96,6 +96,17 @@ def test_an_object_that_jumps_is_found_at_its_contact(pipeline, sensor):
     assert poses[-1].T_B_O[2, 2] > np.cos(np.radians(5.0))
 
 
+def test_a_contact_that_hops_from_one_foot_to_another_is_no_jump(pipeline, sensor):
+    """A toy on two feet, rocked by 3°, stands on one; the pose would jump by 10 mm."""
+    toy, path = study_object("two_legged_toy"), np.array([turned("y", 0.0), turned("y", -3.0)])
+    for T in path:
+        T[2, 3] = touching_height(toy, T, build_mesh(sensor)) - 2e-3
+    rocked = SyntheticSource(sensor, toy, path, DepthNoise(relative=0.005), seed=4, nodes=4_000)
+    pipeline.track(toy, path[0])
+    for k in range(2):
+        assert close(pipeline.process(rocked[k], PRODUCTS).pose, path[k])
+
+
 def test_without_a_start_it_is_searched_for(pipeline, source):
     pipeline.track(source.obj)
     pose = pipeline.process(source[0], PRODUCTS).pose
