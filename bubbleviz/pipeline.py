@@ -29,7 +29,7 @@ from bubbleviz.inverse import (
     mesh_limits,
     without_small,
 )
-from bubbleviz.membrane import build_rubber, constant_tension_deviation, rest_stress, varied_rubber
+from bubbleviz.membrane import constant_tension_deviation, rubber_and_variants
 from bubbleviz.plugins import plugin, plugin_names
 from bubbleviz.recordings import Frame, FrameColour, Texture
 from bubbleviz.result import Estimate, Patch, Result
@@ -123,10 +123,8 @@ class Pipeline:
         observer = model.observer(self.options.block)
         has_prestretch = model.sensor.membrane.prestretch is not None
         if self.options.solver == RUBBER or (self.options.solver is None and has_prestretch):
-            tension = model.tension_n_per_m
-            stress = rest_stress(model.sensor, model.mesh)
-            material = model.sensor, model.mesh, tension, self.options.rim_slack_m, stress
-            rubber, varied = build_rubber(*material), varied_rubber(*material)
+            material = model.sensor, model.mesh, model.tension_n_per_m, self.options.rim_slack_m
+            rubber, varied = rubber_and_variants(*material)
             return Estimator(observer, RubberBubble(rubber, model.gas, varied), self.options)
         unsure = constant_tension_deviation(model.sensor, model.tension_n_per_m)
         film = ConstantTension(model.mesh, model.tension_n_per_m, model.gas, unsure)

@@ -23,7 +23,7 @@ from bubbleviz.calibration.rubber_problem import PRESSURE_ERROR
 from bubbleviz.camera import IMAGE_ERRORS, BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table
-from bubbleviz.membrane import Inflation, rest_stress, varied_rubber
+from bubbleviz.membrane import Inflation, rubber_and_variants
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import (
     MIN_FRAMES,
@@ -267,9 +267,9 @@ class _RestComparison:
         response is nonlinear: these are secants to the change of pressure that explains the most.
         """
         sensor, mesh = self.model.sensor, self.model.mesh
-        gauge, stress = sensor.pneumatics.gauge_pressure_pa, rest_stress(sensor, mesh)
-        varied = varied_rubber(sensor, mesh, self.model.tension_n_per_m, stress=stress)
-        membranes = [Inflation(each) for each in (self.model.rubber, *varied)]
+        gauge = sensor.pneumatics.gauge_pressure_pa
+        rubber, varied = rubber_and_variants(sensor, mesh, self.model.tension_n_per_m)
+        membranes = [Inflation(each) for each in (rubber, *varied)]
         by_gas, errors, step = 0.0 * self.mean_m, 0.0 * self.mean_m[None], _STEP * gauge
         for _ in range(_SECANTS):
             try:

@@ -60,9 +60,8 @@ from .reference_mesh import (
     build_rubber as build_rubber,
     constant_tension_deviation as constant_tension_deviation,
     reference_tension as reference_tension,
-    rest_stress as rest_stress,
+    rubber_and_variants as rubber_and_variants,
     stiffness_changes as stiffness_changes,
-    varied_rubber as varied_rubber,
 )
 from .rubber import (
     RubberMembrane as RubberMembrane,

@@ -173,7 +173,7 @@ class Prestress:
             near = Prestress(self.weights.copy())
             near.weights[part, 0] += tension
             balanced = Prestress.of(mesh, gauge_pressure_pa, near=near)
-            fields[name] = Prestress(balanced.weights - self.weights)
+            fields[name] = balanced.minus(self)
         return fields
 
     def mean_tension(self, mesh: MembraneMesh) -> float:
@@ -191,9 +191,9 @@ class Prestress:
         """Field of the same surface under a pressure larger by a factor."""
         return Prestress(factor * self.weights)
 
-    def towards(self, other: Prestress, share: float) -> Prestress:
-        """Field at a share of the way to another one of the same surface."""
-        return Prestress(self.weights + share * (other.weights - self.weights))
+    def minus(self, other: Prestress) -> Prestress:
+        """Difference from another field of the same surface."""
+        return Prestress(self.weights - other.weights)
 
     def on(self, mesh: MembraneMesh) -> np.ndarray:
         """Stress on any mesh of the surface, (m, 2, 2), N/m³.

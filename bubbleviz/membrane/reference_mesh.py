@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import lru_cache
 
 import numpy as np
@@ -85,32 +86,78 @@ def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
         raise InputError(f"{sensor.name}: {error}, or give pneumatics.tension_n_per_m") from error
 
 
-def rest_stress(sensor: Sensor, mesh: MembraneMesh) -> Prestress | None:
-    """Stress of the reference surface under the gauge pressure; None for constant tension."""
-    if sensor.membrane.prestretch is None:
-        return None
-    gauge, membrane = sensor.pneumatics.gauge_pressure_pa, sensor.membrane
-    film = stress = Prestress.of(mesh, gauge)
-    if membrane.sheet_share and (sheet := as_flat_sheet(mesh)):
-        stress = film.towards(sheet[0].times(gauge), membrane.sheet_share)
-    unequal = [membrane.unequal_tension_x or 0.0, membrane.unequal_tension_xy or 0.0]
-    return stress.plus(film.unequal(mesh, gauge).values(), unequal) if any(unequal) else stress
-
-
 def build_rubber(
     sensor: Sensor,
     mesh: MembraneMesh,
     tension_n_per_m: float,  # γ0, the mean tension, N/m
     rim_slack_m: float | None = None,  # as of `RubberMembrane`
-    # as of `rest_stress`, found from the mesh where not given; that of a coarser mesh of the
-    # surface saves time
-    stress: Prestress | None = None,
 ) -> RubberMembrane:
     """Exact membrane of a sensor on a mesh of its reference surface.
 
     Its stiffness is μh = γ0 / (1 − λ⁻⁶) on average, its stress at rest balances the gauge
     pressure. A sensor without pre-stretch has constant tension.
     """
+    stress, _ = _rest_stress(sensor, mesh, _unequal_stress(sensor))
+    return _rubber(sensor, mesh, tension_n_per_m, rim_slack_m, stress)
+
+
+def rubber_and_variants(
+    sensor: Sensor,
+    mesh: MembraneMesh,
+    tension_n_per_m: float,
+    rim_slack_m: float | None = None,
+) -> tuple[RubberMembrane, list[RubberMembrane]]:
+    """The membrane of `build_rubber`, and copies each with one of its parameters raised by its σ.
+
+    Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
+    also by its standard deviation in the sensor file.
+    Stress at rest follows from shape, gauge pressure, share and unequal tension, whatever the
+    material. γ0 is proportional to the gauge pressure (Young–Laplace), so its own copy is raised
+    only by the part of its σ that the gauge pressure does not explain.
+    """
+    sigmas = {
+        name: _deviation(
+            getattr(sensor.calibration, f"{name}_interval", None),
+            getattr(sensor.membrane, name),
+            *limits,
+        )
+        for name, limits in RUBBER_PARAMETERS.items()
+    }
+    names = _unequal_stress(sensor) | {name for name in _OF_STRESS if sigmas[name]}
+    stress, changes = _rest_stress(sensor, mesh, names)
+
+    def rubber(
+        own: Sensor, stress: np.ndarray | None, tension: float = tension_n_per_m
+    ) -> RubberMembrane:
+        return _rubber(own, mesh, tension, rim_slack_m, stress)
+
+    varied, (tension, gauge) = [], _deviations(sensor, tension_n_per_m)
+    if tension:
+        varied.append(rubber(sensor, stress, tension_n_per_m + tension))
+    if gauge:
+        higher = sensor.pneumatics.gauge_pressure_pa + gauge
+        factor = higher / sensor.pneumatics.gauge_pressure_pa
+        own = changed(sensor, pneumatics={"gauge_pressure_pa": higher})
+        raised = None if stress is None else factor * stress
+        varied.append(rubber(own, raised, factor * tension_n_per_m))
+    for name, sigma in sigmas.items():
+        if sigma and name in changes:
+            assert stress is not None  # it changes
+            varied.append(rubber(sensor, stress + sigma * changes[name]))
+        elif sigma and name not in _OF_STRESS:
+            value = getattr(sensor.membrane, name) + sigma
+            varied.append(rubber(changed(sensor, membrane={name: value}), stress))
+    return rubber(sensor, stress), varied
+
+
+def _rubber(
+    sensor: Sensor,
+    mesh: MembraneMesh,
+    tension_n_per_m: float,
+    rim_slack_m: float | None,
+    stress: np.ndarray | None,
+) -> RubberMembrane:
+    """Membrane with a stress (m, 2, 2) at rest, see `_rest_stress`."""
     gauge, prestretch = sensor.pneumatics.gauge_pressure_pa, sensor.membrane.prestretch
     if prestretch is None:
         return RubberMembrane.uniform(mesh, gauge, tension_n_per_m, None, rim_slack_m)
@@ -118,8 +165,34 @@ def build_rubber(
     gradient = [getattr(sensor.membrane, f"stiffness_gradient_{axis}") or 0.0 for axis in "xyr"]
     if any(gradient):
         mu_h = mu_h * (1.0 + stiffness_changes(mesh) @ gradient)
-    stress = rest_stress(sensor, mesh) if stress is None else stress
     return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)
+
+
+def _unequal_stress(sensor: Sensor) -> set[str]:
+    """Parameters of the stress at rest that are not 0."""
+    return {name for name in _OF_STRESS if getattr(sensor.membrane, name)}
+
+
+def _rest_stress(
+    sensor: Sensor, mesh: MembraneMesh, names: Collection[str]
+) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
+    """Stress of the reference surface under the gauge pressure, as of `Prestress.on`.
+
+    And its changes by a unit of the named parameters: it is linear in these. None and no changes
+    for constant tension.
+    """
+    if sensor.membrane.prestretch is None:
+        return None, {}
+    gauge = sensor.pneumatics.gauge_pressure_pa
+    film, changes = Prestress.of(mesh, gauge), {}
+    if "sheet_share" in names and (sheet := as_flat_sheet(mesh)):
+        changes["sheet_share"] = sheet[0].times(gauge).minus(film)
+    if unequal := set(_OF_STRESS[1:]) & set(names):
+        fields = film.unequal(mesh, gauge)
+        changes |= {name: fields[name] for name in sorted(unequal)}
+    values = [getattr(sensor.membrane, name) or 0.0 for name in changes]
+    stress = film.plus(changes.values(), values).on(mesh)
+    return stress, {name: each.on(mesh) for name, each in changes.items()}
 
 
 def stiffness_changes(mesh: MembraneMesh) -> np.ndarray:
@@ -130,41 +203,6 @@ def stiffness_changes(mesh: MembraneMesh) -> np.ndarray:
     extent = np.abs(mesh.nodes[mesh.rim, :2]).max(axis=0)
     centres = mesh.nodes[mesh.triangles, :2].mean(axis=1) / extent
     return np.column_stack([centres, 2.0 * (centres**2).sum(axis=1) - 1.0])
-
-
-def varied_rubber(
-    sensor: Sensor,
-    mesh: MembraneMesh,
-    tension_n_per_m: float,
-    rim_slack_m: float | None = None,
-    stress: Prestress | None = None,
-) -> list[RubberMembrane]:
-    """Copies of the membrane, each with one of its parameters raised by its σ.
-
-    Only those have a σ whose 95 % interval is in the sensor's calibration, and the gauge pressure
-    also by its standard deviation in the sensor file. Parameters as of `build_rubber`.
-    Stress at rest follows from shape, gauge pressure, share and unequal tension, whatever the
-    material. γ0 is proportional to the gauge pressure (Young–Laplace), so its own copy is raised
-    only by the part of its σ that the gauge pressure does not explain.
-    """
-    pneumatics, varied = sensor.pneumatics, []
-    tension, gauge = _deviations(sensor, tension_n_per_m)
-    if tension:
-        varied.append(build_rubber(sensor, mesh, tension_n_per_m + tension, rim_slack_m, stress))
-    if gauge:
-        higher = pneumatics.gauge_pressure_pa + gauge
-        other = changed(sensor, pneumatics={"gauge_pressure_pa": higher})
-        factor = higher / pneumatics.gauge_pressure_pa
-        raised = None if stress is None else stress.times(factor)
-        varied.append(build_rubber(other, mesh, factor * tension_n_per_m, rim_slack_m, raised))
-    for name, limits in RUBBER_PARAMETERS.items():
-        value = getattr(sensor.membrane, name)
-        interval = getattr(sensor.calibration, f"{name}_interval", None)
-        if sigma := _deviation(interval, value, *limits):
-            other = changed(sensor, membrane={name: value + sigma})
-            own = None if name in _OF_STRESS else stress
-            varied.append(build_rubber(other, mesh, tension_n_per_m, rim_slack_m, own))
-    return varied
 
 
 def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:

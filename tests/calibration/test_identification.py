@@ -12,7 +12,7 @@ from bubbleviz.membrane import (
     balance_tension,
     build_mesh,
     reference_tension,
-    varied_rubber,
+    rubber_and_variants,
 )
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
@@ -135,7 +135,7 @@ def test_bounds_in_the_file_are_possible_and_keep_the_deviation(found, tmp_path)
     known = sensor.calibration
     assert known.gauge_interval_pa[0] == known.tension_interval_n_per_m[0] == 0.0
     sensor, mesh = changed(sensor, pneumatics={"gauge_sigma_pa": None}), build_mesh(sensor)
-    varied = varied_rubber(sensor, mesh, reference_tension(sensor, mesh))
+    _, varied = rubber_and_variants(sensor, mesh, reference_tension(sensor, mesh))
     assert varied[-1].gauge_pressure_pa == pytest.approx(9000.0, abs=1.0)
     assert all(each.mean_tension < 2.0 * wide.tension.value for each in varied)
 

@@ -23,9 +23,8 @@ from bubbleviz.membrane import (
     prestressed,
     reference_tension,
     refinement,
-    rest_stress,
+    rubber_and_variants,
     spherical_cap,
-    varied_rubber,
     zernike,
 )
 from bubbleviz.rigid_object import load_object
@@ -229,7 +228,7 @@ def test_error_of_the_stress_at_rest_varies_the_stress_alone(oval_sheet, name):
     _, rest, sensor, tension = oval_sheet
     calibration = Calibration(pixels_file="none.npz", **{f"{name}_interval": (0.304, 0.696)})
     own = changed(sensor, membrane={name: 0.5}).model_copy(update={"calibration": calibration})
-    (varied,) = varied_rubber(own, rest, tension, stress=rest_stress(own, rest))
+    _, (varied,) = rubber_and_variants(own, rest, tension)
     expected = build_rubber(changed(sensor, membrane={name: 0.6}), rest, tension)
     np.testing.assert_allclose(varied.stress(rest.nodes), expected.stress(rest.nodes), rtol=1e-6)
     np.testing.assert_allclose(varied.mu_h, expected.mu_h)
@@ -273,9 +272,8 @@ def test_gauge_pressure_uncertainty_is_counted_once(punyo):
     """The interval of γ0 includes the gauge pressure's: the variants together spread as it does."""
     sensor, mesh, tension = punyo
     known = sensor.calibration
-    usual = build_rubber(sensor, mesh, tension).mean_tension
-    varied = varied_rubber(sensor, mesh, tension)
-    moved = [each.mean_tension - usual for each in varied[:2]]
+    usual, varied = rubber_and_variants(sensor, mesh, tension)
+    moved = [each.mean_tension - usual.mean_tension for each in varied[:2]]
     low, high = known.tension_interval_n_per_m
     assert np.hypot(*moved) == pytest.approx((high - low) / (2 * 1.96), rel=0.05)
 
@@ -283,7 +281,7 @@ def test_gauge_pressure_uncertainty_is_counted_once(punyo):
 def test_proportional_errors_of_gauge_pressure_and_tension_keep_the_stretch(punyo):
     """Young–Laplace: the stress-free shape is that of their ratio."""
     sensor, mesh, tension = punyo
-    usual, by_gauge = build_rubber(sensor, mesh, tension), varied_rubber(sensor, mesh, tension)[1]
+    usual, (_, by_gauge, *_) = rubber_and_variants(sensor, mesh, tension)
     low, high = sensor.calibration.gauge_interval_pa
     share = 1.0 + (high - low) / (2 * 1.96) / sensor.pneumatics.gauge_pressure_pa
     assert by_gauge.gauge_pressure_pa / usual.gauge_pressure_pa == pytest.approx(share, rel=1e-3)
@@ -297,26 +295,24 @@ def test_a_gauge_pressure_with_its_deviation_is_varied_without_a_calibration(pun
     told = changed(sensor, pneumatics={"gauge_sigma_pa": 700.0})
     plain = told.model_copy(update={"calibration": None})
     raised = sensor.pneumatics.gauge_pressure_pa + 700.0
-    (by_gauge,) = varied_rubber(plain, mesh, tension)
+    usual, (by_gauge,) = rubber_and_variants(plain, mesh, tension)
     assert by_gauge.gauge_pressure_pa == pytest.approx(raised)
     share = raised / sensor.pneumatics.gauge_pressure_pa
-    usual = build_rubber(sensor, mesh, tension).mean_tension
-    assert by_gauge.mean_tension == pytest.approx(share * usual)
-    assert varied_rubber(told, mesh, tension)[1].gauge_pressure_pa == pytest.approx(raised)
+    assert by_gauge.mean_tension == pytest.approx(share * usual.mean_tension)
+    assert rubber_and_variants(told, mesh, tension)[1][1].gauge_pressure_pa == pytest.approx(raised)
 
 
-def test_a_varied_membrane_has_the_stress_of_its_own_surface_and_pressure():
-    """Computed once, it equals the recomputed one of each variant; without λ there is none."""
+def test_a_variant_under_a_higher_gauge_pressure_is_the_membrane_of_that_sensor():
     sensor = load_sensor("punyo_oval_d405")
     mesh = build_mesh(sensor, 300)
     tension = reference_tension(sensor, mesh)
-    anew = varied_rubber(sensor, mesh, tension)
-    handed = varied_rubber(sensor, mesh, tension, stress=rest_stress(sensor, mesh))
-    assert len(anew) == len(handed) == 8  # γ0, gauge pressure, λ, five others of the rubber
-    for one, other in zip(anew, handed, strict=True):
-        assert one.gauge_pressure_pa == other.gauge_pressure_pa
-        expected = one.stress(mesh.nodes)
+    usual, varied = rubber_and_variants(sensor, mesh, tension)
+    assert len(varied) == 8  # γ0, gauge pressure, λ, five others of the rubber
+    gauge = varied[1].gauge_pressure_pa
+    own = changed(sensor, pneumatics={"gauge_pressure_pa": gauge})
+    raised = build_rubber(own, mesh, gauge / usual.gauge_pressure_pa * tension)
+    for one, other in ((usual, build_rubber(sensor, mesh, tension)), (varied[1], raised)):
+        expected = other.stress(mesh.nodes)
         np.testing.assert_allclose(
-            other.stress(mesh.nodes), expected, atol=1e-9 * np.abs(expected).max()
+            one.stress(mesh.nodes), expected, atol=1e-9 * np.abs(expected).max()
         )
-    assert rest_stress(changed(sensor, membrane={"prestretch": None}), mesh) is None
