@@ -271,7 +271,7 @@ class RangeObserver:
         noise_m = np.median(1.0 / np.sqrt(self._total))
         self.white = pixels is None and bool(noise_m > 2.0 * self.facet_error_m)
         """Whether residuals should be white: noise of the sensor file, above the mesh's error."""
-        self._cast_blocks()
+        self._cast_blocks(seen[self.pixel[self._starts]])
 
     def _group(self, hits: Hits, noise_relative: float, pixels: PixelModel | None) -> None:
         """Group the pixels in use, of those that see the membrane, by block."""
@@ -317,15 +317,18 @@ class RangeObserver:
         self._total = self._sums(precision)
         self._moment_at_rest = self._sums(precision * self._used.reference_m.astype(float))
 
-    def _cast_blocks(self) -> None:
-        """Cast a ray for each block, the mean of its pixels' rays."""
+    def _cast_blocks(self, near: np.ndarray) -> None:
+        """Cast a ray for each block, the mean of its pixels' rays.
+
+        `near`: triangle (B,) that one of them meets.
+        """
         camera, mesh = self.camera, self.mesh
         rays = np.add.reduceat(camera.directions[self.pixel], self._starts, axis=0)
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         self._caster = RayCaster(camera.center, rays, mesh.triangles)
         self._walk_m = _MAX_WALK * mesh.edge_length
         self._columns = vector_columns(mesh.triangles)
-        at_rest = self._caster.cast(mesh.nodes)
+        at_rest = self._caster.cast(mesh.nodes, near=near)
         self._rest_range = np.full(self.blocks, np.nan)
         self._rest_range[at_rest.ray] = at_rest.range_m
         self._at_rest = np.full(self.blocks, -1)

@@ -32,6 +32,8 @@ _LONG_WALK = 64  # the same where it is not cast again: more than there are acro
 
 _AT_ONCE = 2**15  # rays, so that what is gathered for them fits the processor's cache
 
+_MAX_SEARCHED = 500  # rays compared with every triangle: Open3D takes as long to load as for 5,000
+
 _COARSER = 8  # a walk starts from the triangle of every 8th ray, found first
 
 _OUTSIDE = 1e-6  # barycentric coordinate below which a ray has left its triangle
@@ -114,30 +116,42 @@ class RayCaster:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
         local = nodes - self.origin
         faces, some = faces_from(local, self.triangles), slice(None) if rays is None else rays
-        ray = self._single[some]
-        if self._is_unoccluded(local, faces, some):
-            single = faces.astype(np.float32)
-            if near is None:
-                there, arrived = self._walked_to(single, ray)
-            else:
-                there, arrived = self._walked(single, ray, np.maximum(near, 0), len(faces))
-            return np.where(arrived, there, -1)
+        ray, walked = self._single[some], None
+        if self._is_facing(local, faces, some):
+            walked = self._walked_first(local, faces, ray, near)
+        if walked is not None:
+            return walked
         # nodes are moved by −origin before single precision sees them: all rays start at zero
         found = TriangleScene(local, self._indices).cast(np.hstack([np.zeros_like(ray), ray]))
         return np.where(np.isfinite(found.distance), found.triangle, -1)
 
-    def _is_unoccluded(
-        self, local: np.ndarray, faces: np.ndarray, rays: slice | np.ndarray
-    ) -> bool:
-        """Whether walking finds the first hit of every ray.
+    def _walked_first(
+        self, local: np.ndarray, faces: np.ndarray, ray: np.ndarray, near: np.ndarray | None
+    ) -> np.ndarray | None:
+        """As `first`, for triangles that all face the origin; None where walking does not do."""
+        single, convex = faces.astype(np.float32), self._has_convex_rim(local, faces)
+        if near is None and not convex:
+            return None
+        if near is None:
+            there, arrived = self._walked_to(single, ray)
+        else:
+            there, arrived = self._walked(single, ray, np.maximum(near, 0), len(faces))
+        stopped = np.flatnonzero(~arrived)
+        if not convex and len(stopped):  # by the rim, beyond which they may meet the mesh
+            if len(stopped) > _MAX_SEARCHED:
+                return None
+            there[stopped], arrived[stopped] = _searched(single, ray[stopped])
+        return np.where(arrived, there, -1)
 
-        Sufficient: all triangles face the rays' origin, and the rim's image is convex.
-        """
+    def _is_facing(self, local: np.ndarray, faces: np.ndarray, rays: slice | np.ndarray) -> bool:
+        """Whether all triangles face the rays' origin: none then hides its neighbours."""
         axis = local.mean(axis=0)
         facing = np.einsum("mj,mj->m", local[self.triangles[:, 0]], faces[:, 0]) > 0.0
         before = (local @ axis > 0.0).all() and (self.directions[rays] @ axis > 0.0).all()
-        if not (facing.all() and before):
-            return False
+        return bool(facing.all() and before)
+
+    def _has_convex_rim(self, local: np.ndarray, faces: np.ndarray) -> bool:
+        """Whether the image of the rim is convex: straight walks then stay on the mesh."""
         sides = faces[self._across < 0]
         sides /= np.linalg.norm(sides, axis=1, keepdims=True)
         inside = sides @ (local / np.linalg.norm(local, axis=1, keepdims=True)).T
@@ -260,8 +274,18 @@ class RayCaster:
         return Hits(ray, triangle, barycentric, range_m)
 
 
-def _slices(rays: int) -> list[slice]:
-    return [slice(start, start + _AT_ONCE) for start in range(0, rays, _AT_ONCE)]
+def _searched(faces: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Triangle (j,) that each of some rays (j, 3) meets, of all, and whether it meets one."""
+    there, arrived = np.zeros(len(ray), int), np.zeros(len(ray), bool)
+    for some in _slices(len(ray), _AT_ONCE // len(faces) + 1):
+        volumes = np.einsum("tkj,rj->krt", faces, ray[some])
+        inside = volumes.min(axis=0) + _OUTSIDE * volumes.sum(axis=0)
+        there[some], arrived[some] = inside.argmax(axis=1), inside.max(axis=1) >= 0.0
+    return there, arrived
+
+
+def _slices(rays: int, length: int = _AT_ONCE) -> list[slice]:
+    return [slice(start, start + length) for start in range(0, rays, length)]
 
 
 def sparse_rows(values: np.ndarray, columns: np.ndarray, count: int) -> sparse.csr_array:

@@ -25,7 +25,7 @@ from bubbleviz.inverse.estimator import Estimator
 from bubbleviz.inverse.measurements import Measurements, Nuisances
 from bubbleviz.inverse.resolution import at_noise, resolution_m
 from bubbleviz.inverse.response import Bubble, ConstantTension, RubberBubble
-from bubbleviz.membrane import MembraneMesh, Refined, grown, refined_part
+from bubbleviz.membrane import Refined, grown, refined_part
 from bubbleviz.result import Estimate, FineContact
 from bubbleviz.sensor_model import SensorModel
 
@@ -153,7 +153,7 @@ class ContactRefiner:
         if twice:
             near = grown(finer.mesh.rings, finer.values(touching.astype(float)) > 0.0)
             finer = finer.again(near[finer.mesh.triangles].all(axis=1))
-        mesh, observer = finer.mesh, self._observer(finer.mesh, inside)
+        mesh, observer = finer.mesh, self._observer(finer)
         prior = Prior(
             smoothness(mesh, estimator.prior_weight), np.zeros(len(mesh.nodes)), mesh.rings
         )
@@ -176,14 +176,16 @@ class ContactRefiner:
             return RubberBubble(membrane, whole.gas)
         return ConstantTension(finer.mesh, whole.tension_n_per_m, whole.gas.behind(finer.mesh))
 
-    def _observer(self, mesh: MembraneMesh, inside: np.ndarray) -> RangeObserver:
-        """Observer of the pixels that see triangles (m,) bool of the whole mesh at rest."""
-        model, camera = self._model, self._model.camera
-        at_rest = model.view.at_rest
-        pixels = np.flatnonzero(np.append(inside, False)[at_rest])
-        seen = np.full_like(at_rest, -1)
+    def _observer(self, finer: Refined) -> RangeObserver:
+        """Observer of the pixels that see a refined part of the mesh at rest."""
+        model, camera, mesh = self._model, self._model.camera, finer.mesh
+        within = np.full(len(model.mesh.triangles) + 1, -1)  # the last for pixels that see none
+        within[finer.parent] = np.arange(len(finer.parent))
+        near = within[model.view.at_rest]
+        pixels = np.flatnonzero(near >= 0)
+        seen = np.full_like(model.view.at_rest, -1)
         rays = RayCaster(camera.center, camera.directions[pixels], mesh.triangles)
-        seen[pixels] = rays.first(mesh.nodes)
+        seen[pixels] = rays.first(mesh.nodes, near=near[pixels])
         block = max(1, self._estimator.observer.block // 2)
         noise = model.sensor.camera.noise_relative
         return RangeObserver(camera, mesh, noise, model.pixels, block, seen)

@@ -22,11 +22,13 @@ def nearest(nodes, triangles, origin, rays):
     return np.where(met, first, -1), np.abs(inside).min(axis=1)
 
 
-@pytest.mark.parametrize("shape", ["dome", "dented", "folded", "cut", "around", "beside"])
+@pytest.mark.parametrize(
+    "shape", ["dome", "dented", "folded", "cut", "notched", "around", "beside"]
+)
 def test_each_ray_finds_the_first_triangle_it_meets(shape):
     mesh = mesh_cap(spherical_cap(0.04, 0.03), 300)
     nodes, triangles, rng = mesh.nodes.copy(), mesh.triangles, np.random.default_rng(0)
-    origin = np.array([0.002, 0.001, -0.09])
+    origin, width = np.array([0.002, 0.001, -0.09]), 0.04
     high = nodes[:, 2] / nodes[:, 2].max()
     if shape == "dented":
         nodes[:, 2] *= 1.0 - 0.5 * high**4
@@ -35,11 +37,15 @@ def test_each_ray_finds_the_first_triangle_it_meets(shape):
     elif shape == "cut":
         centre = nodes[triangles].mean(axis=1)
         triangles = triangles[np.hypot(centre[:, 0] - 0.04, centre[:, 1]) > 0.03]
+    elif shape == "notched":  # few rays miss; turned, so that some would walk across the notch
+        azimuth = np.arctan2(*nodes[triangles].mean(axis=1)[:, 1::-1].T)
+        triangles, width = triangles[np.abs(azimuth) > 0.5], 0.015
+        nodes[:, :2] = nodes[:, :2] @ [[0.7, 0.7], [-0.7, 0.7]]
     elif shape == "around":
         origin = np.array([0.0, 0.0, 0.01])
     elif shape == "beside":
         origin = np.array([0.09, 0.0, 0.0])
-    rays = nodes.mean(axis=0) - origin + rng.normal(0.0, [0.04, 0.04, 0.01], (1000, 3))
+    rays = nodes.mean(axis=0) - origin + rng.normal(0.0, [width, width, 0.01], (1000, 3))
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     expected, from_edge = nearest(nodes, triangles, origin, rays)
     clear = from_edge > 1e-4  # single precision may take either side of an edge
