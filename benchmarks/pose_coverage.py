@@ -263,8 +263,8 @@ def _row(
     row = replace(base, status=pose.status, median_ms=float(np.median(times)), slow_ms=slow)
     if pose.status != "ok":
         return row
-    equivalent = [true.T_B_O @ S for S in metrics.symmetries]
-    off = np.array([motion_between(pose.T_B_O, T, pose.center_m) for T in equivalent])
+    equivalents = metrics.equivalents(pose.T_B_O, true)
+    off = np.array([motion_between(pose.T_B_O, T, pose.center_m) for T in equivalents])
     distance2 = np.einsum("si,si->s", off, np.linalg.solve(pose.covariance, off.T).T).min()
     return replace(row, **vars(metrics.errors(pose.T_B_O, true)), distance2=float(distance2))
 

@@ -157,7 +157,6 @@ class _Bench:
         )
         obj, tracker, found = make(), None, []
         metrics = PoseMetrics(ObjectSurface(obj), precision_of(pipeline.estimator))
-        metrics.symmetries = np.eye(4)[None]  # `_unturned` allows for them
         random = np.random.default_rng(seed)
         pipeline.restart()
         for k in range(len(shapes)):

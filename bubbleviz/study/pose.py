@@ -48,7 +48,6 @@ from bubbleviz.study.harness import (
     groups,
     summaries,
 )
-from bubbleviz.study.symmetries import symmetries
 
 # Pose error over the directions of motion that the true contact determines, modulo symmetry.
 #
@@ -85,7 +84,6 @@ class PoseMetrics:
 
     def __init__(self, model: ObjectSurface, precision: Precision) -> None:
         self._model, self._precision = model, precision
-        self.symmetries = symmetries(model)
 
     def touching(
         self, mesh: MembraneMesh, displacement_m: np.ndarray, pressure_pa: np.ndarray, T: np.ndarray
@@ -102,11 +100,17 @@ class PoseMetrics:
         surface = (J.T * (self._precision.per_area * areas[facing])) @ J
         return TrueContact(T, center, max(radius, MIN_RADIUS_M), directions(surface, radius))
 
+    def equivalents(self, T_B_O: np.ndarray, true: TrueContact) -> list[np.ndarray]:
+        """The true pose, and the nearest pose in which the object looks the same."""
+        symmetry = self._model.nearest_symmetry(true.T_B_O[:3, :3].T @ T_B_O[:3, :3])
+        return [true.T_B_O] if symmetry is None else [true.T_B_O, true.T_B_O @ symmetry]
+
     def errors(self, T_B_O: np.ndarray | None, true: TrueContact) -> PoseErrors:
         """Errors of a pose (4, 4), relative to the closest symmetric equivalent of the true one."""
         if T_B_O is None:
             return PoseErrors()
-        candidates = [motion_between(true.T_B_O, T_B_O @ S, true.center) for S in self.symmetries]
+        equivalents = self.equivalents(T_B_O, true)
+        candidates = [motion_between(each, T_B_O, true.center) for each in equivalents]
         arm = np.array([1.0, 1.0, 1.0, *3 * [true.radius_m]])
         found = true.directions
         basis = (arm[:, None] * found.motions)[:, found.determined]
