@@ -34,7 +34,7 @@ from bubbleviz.plugins import plugin, plugin_names
 from bubbleviz.recordings import Frame, FrameColour, Texture
 from bubbleviz.result import Estimate, Patch, Result
 from bubbleviz.rigid_object import RigidObject
-from bubbleviz.sensor import Sensor
+from bubbleviz.sensor import Sensor, size_refusal
 from bubbleviz.sensor_model import SensorModel
 
 if TYPE_CHECKING:
@@ -464,13 +464,9 @@ class Pipeline:
         self.counts[stage] += 1
 
     def _check_size(self, frame: Frame) -> None:
-        height, width = frame.depth_m.shape
-        own = self.camera.intrinsics
-        if (height, width) != (own.height, own.width):
-            raise InputError(
-                f"frame {frame.index}: image is {width}×{height} pixels but the sensor's camera "
-                f"has {own.width}×{own.height}; choose the sensor file of this camera"
-            )
+        size, own = frame.depth_m.shape[::-1], self.camera.intrinsics.size
+        if size != own:
+            raise size_refusal(f"frame {frame.index}: image is", size, self.model.sensor.name, own)
 
 
 @dataclass(frozen=True)

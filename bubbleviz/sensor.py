@@ -31,6 +31,7 @@ from bubbleviz.files import (
     transform,
     whole_file,
 )
+from bubbleviz.wording import by
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: values outside 0.1 mm … 1 m are in a wrong unit."""
@@ -173,6 +174,11 @@ class Lens(Section):
     distortion: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...] = Field(
         default=(), max_length=14
     )
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the images, pixels."""
+        return self.width, self.height
 
 
 class Camera(Lens):
@@ -394,3 +400,13 @@ def sensor_to_toml(sensor: Sensor) -> str:
     """TOML text of the sensor file."""
     data: dict[str, Any] = sensor.model_dump(mode="json", exclude_none=True)
     return tomli_w.dumps(data)
+
+
+def size_refusal(
+    found: str, size: tuple[int, int], sensor_name: str | Path, own: tuple[int, int]
+) -> InputError:
+    """The error to raise about something found to be for another image size than the camera's."""
+    return InputError(
+        f"{found} {by(size)} pixels but the camera of sensor {sensor_name} has {by(own)}; "
+        "choose the sensor file of this camera"
+    )

@@ -29,7 +29,8 @@ from bubbleviz.membrane import (
     reference_tension,
 )
 from bubbleviz.result import Estimate
-from bubbleviz.sensor import Sensor, contradiction
+from bubbleviz.sensor import Sensor, contradiction, size_refusal
+from bubbleviz.wording import by
 
 _NODE_PIXELS = 10_000  # for the residuals of the nodes: some ten for each
 _TENSION_OFF = 0.1
@@ -62,12 +63,8 @@ class SensorModel:
         own, pixels = sensor.camera, None
         shape = own.height, own.width
         check_type("intrinsics", intrinsics, Intrinsics, NoneType)
-        if intrinsics is not None and (intrinsics.height, intrinsics.width) != shape:
-            raise InputError(
-                f"sensor {sensor.name}: its camera has {own.width}×{own.height} pixels, but the "
-                f"intrinsics are for {intrinsics.width}×{intrinsics.height}; choose the sensor "
-                "file of this camera"
-            )
+        if intrinsics is not None and intrinsics.size != own.size:
+            raise size_refusal("intrinsics are for", intrinsics.size, sensor.name, own.size)
         if sensor.calibration is not None:
             pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)
         return cls(sensor, DepthCamera.of(own, intrinsics), build_mesh(sensor, nodes), pixels)
@@ -81,7 +78,7 @@ class SensorModel:
     def __repr__(self) -> str:
         lens = self.camera.intrinsics
         nodes = len(self.mesh.nodes)
-        return f"<{self.sensor.name}: {nodes} nodes, {lens.width}×{lens.height} pixels>"
+        return f"<{self.sensor.name}: {nodes} nodes, {by(lens.size)} pixels>"
 
     @cached_property
     def tension_n_per_m(self) -> float:

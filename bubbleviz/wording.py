@@ -54,7 +54,12 @@ def reason_of(error: BaseException, most: int | None = None) -> str:
 
 def width_by_height(shape: Sequence[int]) -> str:
     """`640×480` for the shape (480, 640, …) of an image."""
-    return f"{shape[1]}×{shape[0]}"
+    return by(shape[1::-1])
+
+
+def by(size: Sequence[int]) -> str:
+    """`640×480` for a width and a height."""
+    return f"{size[0]}×{size[1]}"
 
 
 def how_to_install(extra: str) -> str:

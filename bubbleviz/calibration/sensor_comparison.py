@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
-from bubbleviz.errors import InputError
 from bubbleviz.sensor import Calibration, Sensor
 from bubbleviz.sensor_model import SensorModel
 
@@ -46,12 +45,6 @@ class SensorComparison:
         Raises InputError: the old sensor's files are unreadable, or of another camera.
         """
         intrinsics = new.model.camera.intrinsics
-        if (old.camera.width, old.camera.height) != (intrinsics.width, intrinsics.height):
-            raise InputError(
-                f"{old.name}: its images have {old.camera.width}×{old.camera.height} pixels, those "
-                f"of the new sensor {intrinsics.width}×{intrinsics.height}; compare with the "
-                "sensor file of this camera"
-            )
         measured = np.where(new.pixels.mask, new.samples.statistics.range_m, np.nan)
         models = SensorModel.of(old, intrinsics), new.model
         before, after = (_numbers(model, measured) for model in models)

@@ -37,6 +37,11 @@ class Intrinsics:
     distortion_model: DistortionModel = "none"
     distortion: tuple[float, ...] = ()  # k1, k2, p1, p2, k3; empty when there is none
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height, pixels."""
+        return self.width, self.height
+
     def slopes(self) -> np.ndarray:
         """Ideal image-plane coordinates (x/z, y/z) of every pixel centre, shape (H, W, 2)."""
         v, u = np.mgrid[0 : self.height, 0 : self.width].astype(np.float64)

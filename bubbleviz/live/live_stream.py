@@ -15,8 +15,8 @@ import numpy as np
 from bubbleviz.errors import InputError, StreamStoppedError
 from bubbleviz.live.assembler import Counters, FrameAssembler
 from bubbleviz.live.live_source import Link, LiveSource
-from bubbleviz.recordings import NO_COLOUR, Frame, Message, check_gas_unit, size_refusal
-from bubbleviz.sensor import Sensor
+from bubbleviz.recordings import NO_COLOUR, Frame, Message, check_gas_unit
+from bubbleviz.sensor import Sensor, size_refusal
 
 # State of a live source.
 
@@ -348,8 +348,8 @@ class LiveStream:
         wrong = self._assembler.counters.wrong_size - self._wrong_before
         if wrong < enough or size is None or own is None:
             return None
-        sensor_name = self.sensor.file or self.sensor.name
-        return size_refusal(self.uri, size, sensor_name, own)
+        named = self.sensor.file or self.sensor.name
+        return size_refusal(f"{self.uri}: images are", size, named, own)
 
     def _patience_s(self) -> float:
         """Time until the pending frame must be checked again, s."""

@@ -71,7 +71,7 @@ def open_stream(
     camera = sensor.camera
     assembler = FrameAssembler(
         names,
-        size=None if any_size else (camera.width, camera.height),
+        size=None if any_size else camera.size,
         camera=DepthCamera.of(camera).intrinsics,
         lag_s=options.lag,
         colour_delay_s=camera.colour_delay_s,
@@ -111,8 +111,7 @@ def _zenoh(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
 def _realsense(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:
     from bubbleviz.live.realsense import open_realsense  # the window starts without
 
-    size = (sensor.camera.width, sensor.camera.height)
-    return open_realsense(uri, size, names.prefix or DEFAULT_PREFIX)
+    return open_realsense(uri, sensor.camera.size, names.prefix or DEFAULT_PREFIX)
 
 
 def _plugged(uri: SourceUri, sensor: Sensor, names: TopicNames) -> LiveSource:

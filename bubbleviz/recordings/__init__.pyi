@@ -119,7 +119,6 @@ from .sensor_matching import (
     gas_warning as gas_warning,
     image_size as image_size,
     preset_of_size as preset_of_size,
-    size_refusal as size_refusal,
 )
 from .time_series import (
     FORWARD_NS as FORWARD_NS,

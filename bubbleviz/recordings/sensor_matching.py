@@ -13,7 +13,8 @@ from bubbleviz.recordings.depth_topics import CAMERA_INFO, PRESSURE, of_type
 from bubbleviz.recordings.frame import FrameSource, shown_name
 from bubbleviz.recordings.message_decoding import COMPRESSED
 from bubbleviz.recordings.recording import Recording, open_recording
-from bubbleviz.sensor import Sensor, load_sensor
+from bubbleviz.sensor import Sensor, load_sensor, size_refusal
+from bubbleviz.wording import by
 
 WEATHER_PA = 5e3
 """Variation of the atmospheric pressure at one place, Pa: the extremes are ±5 kPa."""
@@ -41,19 +42,9 @@ def check_fits(source: FrameSource, sensor: Sensor, sensor_name: str | Path) -> 
         if len(measured := source.gas_pressures_pa(_GAS_SAMPLE)):
             value, where = float(np.median(measured)), f" on {source.value_topics[PRESSURE]}"
             check_gas_unit(value, sensor, str(source.path), where, ", and record again")
-    size, own = image_size(source), (sensor.camera.width, sensor.camera.height)
-    if size != own:
-        raise size_refusal(shown_name(source), size, sensor_name, own)
-
-
-def size_refusal(
-    images: str, size: tuple[int, int], sensor_name: str | Path, own: tuple[int, int]
-) -> InputError:
-    """The error to raise about images that are not of the size of the sensor's camera."""
-    return InputError(
-        f"{images}: images are {_by(size)} pixels but the camera of sensor "
-        f"{sensor_name} has {_by(own)}; choose the sensor file of this camera"
-    )
+    if (size := image_size(source)) != sensor.camera.size:
+        found = f"{shown_name(source)}: images are"
+        raise size_refusal(found, size, sensor_name, sensor.camera.size)
 
 
 def fitting_sensor(source: FrameSource, name: str | Path | Sensor | None) -> tuple[str, Sensor]:
@@ -102,16 +93,15 @@ def preset_of_size(
     Raises UnknownCameraError: no preset has, or several have.
     """
     names = preset_names("sensors")
-    cameras = {name: load_sensor(name).camera for name in names}
-    sizes = {name: (camera.width, camera.height) for name, camera in cameras.items()}
+    sizes = {name: load_sensor(name).camera.size for name in names}
     fitting = [name for name in names if sizes[name] == size]
     if len(fitting) == 1:
         return fitting[0]
-    known = ", ".join(f"{name} ({_by(sizes[name])})" for name in fitting or names)
+    known = ", ".join(f"{name} ({by(sizes[name])})" for name in fitting or names)
     have = "several presets have" if fitting else "no preset has"
     choice = "one of them or the" if fitting else "the"
     raise UnknownCameraError(
-        f"{images}: {have} a camera of {_by(size)} pixels (presets: {known}); "
+        f"{images}: {have} a camera of {by(size)} pixels (presets: {known}); "
         f"choose {choice} sensor file of this camera (--sensor)",
         size,
     )
@@ -136,8 +126,8 @@ def _check_camera_info(recording: Recording) -> None:
         size = (int(message.width), int(message.height))
         if size != recording.size:
             raise InputError(
-                f"{recording.path}: camera info on {topic.name} is for {_by(size)} pixels but the "
-                f"images are {_by(recording.size)}; record both from one camera, neither cropped "
+                f"{recording.path}: camera info on {topic.name} is for {by(size)} pixels but the "
+                f"images are {by(recording.size)}; record both from one camera, neither cropped "
                 "nor scaled"
             )
 
@@ -162,7 +152,3 @@ def check_gas_unit(
             f"not in Pa as FluidPressure messages are (near {expected:.0f} by the sensor file); "
             f"multiply it by {_OTHER_UNITS_PA[unit]:g} before publishing{then}"
         )
-
-
-def _by(size: tuple[int, int]) -> str:
-    return f"{size[0]}×{size[1]}"
