@@ -12,7 +12,6 @@ from .inspector import (
     Pixel as Pixel,
     Probe as Probe,
     Probed as Probed,
-    Profile as Profile,
     Statistics as Statistics,
     inspection as inspection,
     profile as profile,

@@ -405,11 +405,6 @@ class LatencyMeter:
         """Add the age of a live frame."""
         self._ages.append((now_ns - (frame.taken_ns or now_ns)) * 1e-9)
 
-    @property
-    def ages_s(self) -> list[float]:
-        """The last ages, oldest first."""
-        return list(self._ages)
-
     def report(self) -> LatencyReport | None:
         """Ages so far; None before the first frame."""
         if not self._ages:

@@ -18,6 +18,7 @@ from .known_press import (
     validate_press as validate_press,
 )
 from .live_scenes import (
+    default_press as default_press,
     finger_pose as finger_pose,
     grip_poses as grip_poses,
     oversized_nut as oversized_nut,
@@ -50,15 +51,12 @@ from .rubber_truth import (
 )
 from .synthetic_source import (
     NODE_RATIO as NODE_RATIO,
-    HasTruth as HasTruth,
     LoopedSource as LoopedSource,
     Model as Model,
     SyntheticSource as SyntheticSource,
     Truth as Truth,
     default_path as default_path,
-    default_press as default_press,
     iou as iou,
-    simulation_mesh as simulation_mesh,
     truth_of as truth_of,
 )
 from .truth_bank import TruthBank as TruthBank, noise_name as noise_name

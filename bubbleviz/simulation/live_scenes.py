@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -76,20 +77,21 @@ def simulation(
 
     Raises InputError: there is no such object.
     """
-    obj, poses = _scene(place, sensor, frames)
+    scene, nodes = _scene(place, sensor, frames), LIVE_NODE_RATIO * sensor.membrane.nodes
+    noises = DepthNoise(relative=noise)
+    return partial(SyntheticSource, sensor, *scene, noises, rate_hz, seed, nodes=nodes)
 
-    def make() -> FrameSource:
-        return SyntheticSource(
-            sensor,
-            obj,
-            poses,
-            DepthNoise(relative=noise),
-            rate_hz,
-            seed,
-            nodes=LIVE_NODE_RATIO * sensor.membrane.nodes,
-        )
 
-    return make
+def default_press(
+    sensor: Sensor,
+    frames: int = 150,  # of one loop, contact-free at both ends
+    nodes: int | None = None,  # target number of nodes of the simulation's mesh
+    noise: DepthNoise | None = None,  # None: that of the sensor's camera
+    object_name: str = DEFAULT_OBJECT,
+) -> SyntheticSource:
+    """Press of the built-in live sensor: approach, press, move and turn, withdraw."""
+    noise = noise or DepthNoise(relative=sensor.camera.noise_relative)
+    return SyntheticSource(sensor, *_scene(object_name, sensor, frames), noise, nodes=nodes)
 
 
 def _scene(place: str, sensor: Sensor, frames: int) -> tuple[RigidObject, np.ndarray]:

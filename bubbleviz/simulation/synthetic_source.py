@@ -33,7 +33,7 @@ from bubbleviz.recordings import (
     Series,
     half_step_ns,
 )
-from bubbleviz.rigid_object import RigidObject, load_object
+from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation.depth_noise import DepthNoise
@@ -300,20 +300,6 @@ def simulation_mesh(model: SensorModel, nodes: int | None = None) -> MembraneMes
     if membrane.shape == "mesh":
         return refinement(model.mesh).mesh
     return build_mesh(model.sensor, NODE_RATIO * membrane.nodes if nodes is None else nodes)
-
-
-def default_press(
-    sensor: Sensor,
-    frames: int = 150,  # of one loop, contact-free at both ends
-    rate_hz: float = 30.0,
-    nodes: int | None = None,  # target number of nodes of the simulation's mesh
-    noise: DepthNoise | None = None,  # None: that of the sensor's camera
-    object_name: str = "two_legged_toy",
-) -> SyntheticSource:
-    """Press of the built-in live sensor: approach, press, move and turn, withdraw."""
-    noise = noise or DepthNoise(relative=sensor.camera.noise_relative)
-    poses = default_path(*dome_size(sensor), frames)
-    return SyntheticSource(sensor, load_object(object_name), poses, noise, rate_hz, nodes=nodes)
 
 
 def default_path(height_m: float, width_m: float, frames: int) -> np.ndarray:
