@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,17 +10,12 @@ from bubbleviz.errors import InputError, check_given
 from bubbleviz.files import refuse_existing, refuse_input
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
-    INTRINSICS,
     Encoding,
     FrameSource,
     ImageFolder,
     Recording,
     RecordingWriter,
     is_image_folder,
-    read_gas_pressure,
-    read_intrinsics,
-    read_times,
-    read_wrench,
 )
 
 
@@ -84,16 +78,18 @@ def convert(
     refuse_existing(out, ".mcap", "", overwrite=overwrite)
     source = Path(source)
     progress("opening", 0.0)
-    files = {
+    options: dict[str, Any] = {
         "intrinsics": intrinsics,
-        "times_s": times,
+        "times": times,
         "gas_pressure": gas_pressure,
         "wrench": wrench,
+        "rate_hz": rate_hz,
+        "metres_per_unit": metres_per_unit,
     }
     if is_image_folder(source):
-        images = _images_of(source, files, rate_hz, metres_per_unit)
+        images = ImageFolder(source, **options)
         return _written(images, out, progress, images.whole_millimetres, overwrite=overwrite)
-    if any(option is not None for option in (*files.values(), rate_hz, metres_per_unit)):
+    if any(option is not None for option in options.values()):
         raise InputError(
             f"{source}: not a folder of depth images, and only these take --intrinsics, --rate, "
             "--times, --metres-per-unit, --gas-pressure and --wrench; correct the path, or leave "
@@ -102,30 +98,6 @@ def convert(
     with Recording(source) as recording:
         whole_millimetres = recording.encoding == "16UC1"
         return _written(recording, out, progress, whole_millimetres, overwrite=overwrite)
-
-
-_READERS: dict[str, Callable[[str | Path], Any]] = {
-    "intrinsics": read_intrinsics,
-    "times_s": read_times,
-    "gas_pressure": read_gas_pressure,
-    "wrench": read_wrench,
-}
-"""Of the files that `ImageFolder` takes the content of."""
-
-
-def _images_of(
-    folder: Path,
-    files: dict[str, str | Path | None],  # as of `_READERS`
-    rate_hz: float | None,
-    metres_per_unit: float | None,
-) -> ImageFolder:
-    if rate_hz is not None and files["times_s"] is not None:
-        raise InputError(f"{folder}: give either --rate or --times, not both")
-    own = {"intrinsics": _existing(folder, *INTRINSICS)}
-    own["times_s"] = None if rate_hz else _existing(folder, "times.csv")
-    given = {name: file or own.get(name) for name, file in files.items()}
-    read = {name: _READERS[name](file) for name, file in given.items() if file is not None}
-    return ImageFolder(folder, rate_hz=rate_hz, metres_per_unit=metres_per_unit, **read)
 
 
 def _written(
@@ -142,7 +114,3 @@ def _written(
             progress("converting", index / len(source))
             writer.write(source[index])
     return info(out)
-
-
-def _existing(folder: Path, *names: str) -> Path | None:
-    return next((folder / name for name in names if (folder / name).is_file()), None)

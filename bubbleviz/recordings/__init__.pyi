@@ -59,15 +59,7 @@ from .frame import (
     shown_name as shown_name,
     usual_step as usual_step,
 )
-from .image_folder import (
-    INTRINSICS as INTRINSICS,
-    ImageFolder as ImageFolder,
-    is_image_folder as is_image_folder,
-    read_gas_pressure as read_gas_pressure,
-    read_intrinsics as read_intrinsics,
-    read_times as read_times,
-    read_wrench as read_wrench,
-)
+from .image_folder import ImageFolder as ImageFolder, is_image_folder as is_image_folder
 from .mcap_file import (
     Flushed as Flushed,
     McapFile as McapFile,

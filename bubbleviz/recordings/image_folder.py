@@ -33,7 +33,7 @@ from bubbleviz.sensor import Lens
 from bubbleviz.wording import count_of, width_by_height
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff")
-INTRINSICS = ("intrinsics.toml", "intrinsics.json")
+_INTRINSICS = ("intrinsics.toml", "intrinsics.json")
 """Names under which intrinsics are looked for in folders."""
 MIN_DEPTH_M, MAX_DEPTH_M = 1e-3, 10.0
 """Range of the median depth of a camera inside a bubble; outside it the unit is wrong."""
@@ -58,22 +58,28 @@ class ImageFolder:
         self,
         folder: str | Path,
         *,
-        intrinsics: Intrinsics | None = None,  # None: the sensor file's are used
-        times_s: np.ndarray | None = None,  # (F,), on the clock of the other measurements
+        # as of `_read_intrinsics`; None: that of the folder, else the sensor file's are used
+        intrinsics: str | Path | None = None,
+        # CSV of a time for each image, s, on the clock of the other measurements; None: that of the
+        # folder
+        times: str | Path | None = None,
         # instead of times; without either, file names are time stamps in s or ns
         rate_hz: float | None = None,
         # of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given
         metres_per_unit: float | None = None,
-        # gas_pressure, wrench: absolute gas pressure in Pa, (1,); force in N and torque in N·m,
-        # (6,); on the same clock
-        gas_pressure: Series[np.ndarray] | None = None,
-        wrench: Series[np.ndarray] | None = None,
+        gas_pressure: str | Path | None = None,  # CSV, as of `_gas_pressure`
+        wrench: str | Path | None = None,  # CSV of time, three forces in N, three torques in N·m
     ) -> None:
         self.path = Path(folder)
         self.name = self.path.name
-        self._intrinsics, self._scale = intrinsics, metres_per_unit
-        given = {PRESSURE: gas_pressure, WRENCH: wrench}
-        self._series = {kind: each for kind, each in given.items() if each is not None}
+        if rate_hz is not None and times is not None:
+            raise InputError(f"{folder}: give either --rate or --times, not both")
+        self._intrinsics, self._scale = _intrinsics_in(self.path, intrinsics), metres_per_unit
+        self._series = {}
+        if gas_pressure is not None:
+            self._series[PRESSURE] = _gas_pressure(gas_pressure)
+        if wrench is not None:
+            self._series[WRENCH] = _measured(wrench, _columns(wrench, 7))
         found = [path for path in self.path.iterdir() if path.suffix.lower() in SUFFIXES]
         if not found:
             raise InputError(
@@ -81,7 +87,7 @@ class ImageFolder:
                 "another folder"
             )
         self._files = sorted(found, key=lambda path: (_numbers(path.stem), path.name))
-        self._clock_s = self._checked_times(times_s, rate_hz)
+        self._clock_s = self._checked_times(times, rate_hz)
         self.times_s = self._clock_s - self._clock_s[0]
         for kind, each in self._series.items():
             if all(each.at(self._moment(k)) is None for k in range(len(self))):
@@ -97,12 +103,12 @@ class ImageFolder:
         self.whole_millimetres = first.dtype.kind in "ui" and metres_per_unit in (None, _MILLIMETRE)
         self._check()
 
-    def _checked_times(self, times_s: np.ndarray | None, rate_hz: float | None) -> np.ndarray:
+    def _checked_times(self, times: str | Path | None, rate_hz: float | None) -> np.ndarray:
         """Times of the images, (F,), s: as given, by the rate, or from the file names."""
-        if times_s is not None:
-            stamps = times_s
-        elif rate_hz is not None:
+        if rate_hz is not None:
             stamps = np.arange(len(self._files)) / rate_hz
+        elif file := times or _existing(self.path, "times.csv"):
+            stamps = _columns(file, 1)[:, 0]
         else:
             stamps = self._stamps()
         if len(stamps) != len(self._files):
@@ -157,9 +163,8 @@ class ImageFolder:
         folder = next((self.path / name for name in FOLDERS if (self.path / name).is_dir()), None)
         if folder is None:
             return None
-        file = next((path for name in INTRINSICS if (path := folder / name).is_file()), None)
-        intrinsics = None if file is None else read_intrinsics(file)
-        camera = colour_camera(intrinsics, None, own=file is not None)
+        intrinsics = _intrinsics_in(folder)
+        camera = colour_camera(intrinsics, None, own=intrinsics is not None)
         files: dict[float | None, Path] = {}
         for path in sorted(folder.iterdir()):
             number = _number(path.stem)
@@ -264,7 +269,7 @@ def is_image_folder(path: str | Path) -> bool:
         return False
 
 
-def read_intrinsics(path: str | Path) -> Intrinsics:
+def _read_intrinsics(path: str | Path) -> Intrinsics:
     """Intrinsics from a TOML or JSON file with the keys of a sensor file, or from a preset.
 
     The keys are in a table `camera` or at the top.
@@ -282,12 +287,17 @@ def read_intrinsics(path: str | Path) -> Intrinsics:
     return Intrinsics(**checked(_Lens, camera, path, "intrinsics").model_dump())
 
 
-def read_times(path: str | Path) -> np.ndarray:
-    """Times of the images, (F,), s: the first column of a CSV."""
-    return _columns(path, 1)[:, 0]
+def _intrinsics_in(folder: Path, given: str | Path | None = None) -> Intrinsics | None:
+    """Intrinsics from a file, by default that of a folder; None without either."""
+    file = given or _existing(folder, *_INTRINSICS)
+    return _read_intrinsics(file) if file else None
 
 
-def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
+def _existing(folder: Path, *names: str) -> Path | None:
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def _gas_pressure(path: str | Path) -> Series[np.ndarray]:
     """Absolute gas pressure over time: a CSV of time in s and pressure in Pa.
 
     Raises InputError: the file cannot be read, or its numbers are not absolute pressures in Pa.
@@ -300,11 +310,6 @@ def read_gas_pressure(path: str | Path) -> Series[np.ndarray]:
             f"{MAX_GAS_PA:,.0f} Pa; give absolute pressures in Pa"
         )
     return _measured(path, table)
-
-
-def read_wrench(path: str | Path) -> Series[np.ndarray]:
-    """Force and torque over time: a CSV of time in s, three forces in N, three torques in N·m."""
-    return _measured(path, _columns(path, 7))
 
 
 class _Lens(Lens):
