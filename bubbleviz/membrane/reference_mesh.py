@@ -10,7 +10,7 @@ import numpy as np
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.flat_sheet import as_flat_sheet
 from bubbleviz.membrane.mesh import MembraneMesh
-from bubbleviz.membrane.meshing import EllipsoidalCap, load_membrane, mesh_cap, spherical_cap
+from bubbleviz.membrane.meshing import EllipsoidalCap, load_membrane, mesh_cap
 from bubbleviz.membrane.prestress import Prestress, prestressed
 from bubbleviz.membrane.rubber import RubberMembrane, shear_stiffness
 from bubbleviz.membrane.stiffness import balance_tension
@@ -45,31 +45,19 @@ def build_mesh(
     Raises InputError: the surface cannot be built; names the file and the place.
     """
     membrane = sensor.membrane
-    cap = cap_of(sensor)
-    if cap is not None:
-        return _meshed(cap, membrane.nodes if nodes is None else nodes)
-    assert membrane.mesh_file is not None  # checked by `Membrane`
-    return load_membrane(sensor.resolve(membrane.mesh_file))
-
-
-@lru_cache(maxsize=8)
-def _meshed(cap: EllipsoidalCap, nodes: int) -> MembraneMesh:
-    """Mesh of a sensor, cached, as meshes are never modified."""
-    return mesh_cap(cap, nodes)
-
-
-def cap_of(sensor: Sensor) -> EllipsoidalCap | None:
-    """Analytic reference surface of a sensor; None where a mesh file gives it."""
-    membrane = sensor.membrane
+    axes = membrane.rim_semi_axes_m
     if membrane.shape == "mesh":
-        return None
-    radius, axes, height = membrane.rim_radius_m, membrane.rim_semi_axes_m, membrane.height_m
-    assert height is not None  # `Membrane` checks that a shape has its numbers
+        assert membrane.mesh_file is not None  # `Membrane` checks that a shape has its numbers
+        return load_membrane(sensor.resolve(membrane.mesh_file))
     if membrane.shape == "spherical_cap":
-        assert radius is not None
-        return spherical_cap(radius, height)
-    assert axes is not None
-    return EllipsoidalCap.of(axes, height)
+        assert membrane.rim_radius_m is not None
+        axes = membrane.rim_radius_m, membrane.rim_radius_m
+    assert axes is not None and membrane.height_m is not None
+    cap = EllipsoidalCap.of(axes, membrane.height_m)
+    return _meshed(cap, membrane.nodes if nodes is None else nodes)
+
+
+_meshed = lru_cache(maxsize=8)(mesh_cap)  # meshes are never modified
 
 
 def reference_tension(sensor: Sensor, mesh: MembraneMesh) -> float:
