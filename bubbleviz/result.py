@@ -360,7 +360,8 @@ class Pose:
     center_m : (3,) array
         Centre of the patch.
     covariance : (6, 6) array
-        Of small motions, from contact, the depth image around it, and earlier frames.
+        Of small motions, from contact, the depth image around it, and earlier frames; with the
+        other poses of a search that are not refuted, by their places about the object's origin.
     motions : (6, 6) array
         Six independent small motions in columns, best determined first; a unit of each moves the
         patch's edge by about 1 m.

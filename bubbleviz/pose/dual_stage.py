@@ -44,6 +44,7 @@ to which the first pose of an object has converged. At two thirds of the longest
 the derivatives is less than half."""
 _NEXT_STEPS, _FIRST_STEPS = 3, 10  # at most, in a frame that follows another, and in a first one
 FOUND_FITNESS = 0.7  # share of the patch that must lie on an object found by search
+_FINALISTS = 2  # unlike poses of a search, which are refined
 _AS_LIKELY = 2.0 * np.log(20.0)
 """Difference of χ² at which one of two poses is 20 times as likely as the other, which is then
 refuted."""
@@ -128,48 +129,37 @@ class Solver:
         frame: Frame,
         contact: ContactPoints,
         starts: np.ndarray,
-        finalists: int,
         known: Solution | None = None,  # kept unless another solution is more likely
     ) -> Solution:
         """Both stages from the best of initial poses (s, 4, 4), which may not fit.
 
         The pose lists the other poses that fit as well.
         """
-        motions = [Motion.at_rest(start, SEARCH_DEVIATION, contact.center) for start in starts]
+        model, center = self._registration.model, contact.center
+        motions = [Motion.at_rest(start, SEARCH_DEVIATION, center) for start in starts]
         coarse = [
             self._registration.stage_one(contact, motion, iterations=_SEARCH_ITERATIONS)
             for motion in motions
         ]
         coarse.sort(key=lambda fit: fit.cost)
-        if known is not None and coarse[0].cost > known.fit.cost - _AS_LIKELY:
-            finalists = 0
-        found = [
-            (
-                fit.cost,
-                self.solve(
-                    frame,
-                    contact,
-                    Motion.at_rest(fit.T_B_O, SEARCH_DEVIATION, contact.center),
-                    tracking=False,
-                ),
-            )
-            for fit in coarse[:finalists]
-        ]
-        good = [pair for pair in found if pair[1].fit.fitness >= FOUND_FITNESS]
-        if known is not None:
-            good.append((known.fit.cost, known))
-        before, best = min(good or found, key=lambda pair: pair[1].fit.cost)
-        rest = (one.fit for _, one in good if one is not best)
-        likely = [fit for fit in rest if fit.cost < best.fit.cost + _AS_LIKELY]
-        likely += [
-            fit
-            for fit in coarse[finalists:]
-            if fit.fitness >= FOUND_FITNESS and fit.cost < before + _AS_LIKELY
-        ]
-        others = looking_different(
-            self._registration.model, best.pose.T_B_O, [fit.T_B_O for fit in likely]
-        )
-        return best._replace(pose=replace(best.pose, others=others))
+        held = known is not None and coarse[0].cost > known.fit.cost - _AS_LIKELY
+        least = known.fit.cost if known is not None and held else coarse[0].cost
+        limit = least + _AS_LIKELY
+        likely = [fit for fit in coarse if fit.cost < limit and fit.fitness >= FOUND_FITNESS]
+        if known is None and not likely:
+            likely = coarse[:1]
+        rest = looking_different(model, [fit.T_B_O for fit in likely])
+        found = []
+        if not held:
+            motions = [Motion.at_rest(T, SEARCH_DEVIATION, center) for T in rest[:_FINALISTS]]
+            found = [self.solve(frame, contact, each, tracking=False) for each in motions]
+        rest = rest[len(found) :]
+        good = [one for one in found if one.fit.fitness >= FOUND_FITNESS]
+        good += [] if known is None else [known]
+        good = sorted(good or found, key=lambda one: one.fit.cost)
+        likely = [one.fit for one in good if one.fit.cost < good[0].fit.cost + _AS_LIKELY]
+        others = looking_different(model, [*(fit.T_B_O for fit in likely), *rest])[1:]
+        return good[0]._replace(pose=replace(good[0].pose, others=others))
 
     def _image_fit(
         self, frame: Frame, contact: ContactPoints, fit: Fit, predicted: Motion, tracking: bool
@@ -237,26 +227,28 @@ _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _CLIPPED_M = 5e-3  # larger distances are clipped
 
 
-def looking_different(
-    model: ObjectSurface, T_B_O: np.ndarray, others: Sequence[np.ndarray]
-) -> np.ndarray:
-    """Those of other poses (r, 4, 4) in which the object looks different.
+def looking_different(model: ObjectSurface, poses: Sequence[np.ndarray]) -> np.ndarray:
+    """Those of poses (4, 4) in which the object looks different from those before, (r, 4, 4).
 
-    Different from the given pose and from each other. Shifts do not count, as a flat face slides.
+    Shifts do not count, as a flat face slides.
     """
-    kept = [T_B_O]
-    for other in others:
-        if not any(looks_alike(model, known[:3, :3].T @ other[:3, :3]) for known in kept):
-            kept.append(other)
-    return np.array(kept[1:]).reshape(-1, 4, 4)
+    kept: list[np.ndarray] = []
+    for pose in poses:
+        if not any(looks_alike(model, known, pose) for known in kept):
+            kept.append(pose)
+    return np.reshape(kept, (-1, 4, 4))
 
 
-def looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
-    """Whether a turn (3, 3), or another within half the angle between starts, is a symmetry.
+def looks_alike(model: ObjectSurface, one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether the turn between two poses (4, 4), or one close to it, is a symmetry.
 
-    Points of the turned surface are registered to the surface, by rotation alone.
+    Close is half the angle between starts. Points of the turned surface are registered to the
+    surface, by rotation alone.
     """
-    points, R = model.sample(_SAMPLES)[0], Rotation.from_matrix(turn)
+    turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3])
+    if turn.magnitude() < np.pi / TURNS:
+        return True
+    points, R = model.sample(_SAMPLES)[0], turn
     middle = model.facet_areas @ model.obj.vertices[model.triangles].mean(axis=1)
     middle /= model.facet_areas.sum()  # centroid, which every symmetry keeps
     arms = points - middle
@@ -269,7 +261,7 @@ def looks_alike(model: ObjectSurface, turn: np.ndarray) -> bool:
         R = Rotation.from_rotvec(step) * R
     turned = R.apply(arms) + middle
     apart = np.linalg.norm(turned - model.closest(turned).place, axis=1).max()
-    away = (R * Rotation.from_matrix(turn).inv()).magnitude()
+    away = (R * turn.inv()).magnitude()
     return bool(apart < _ALIKE * model.size_m and away < np.pi / TURNS)
 
 

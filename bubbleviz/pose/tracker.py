@@ -5,8 +5,7 @@ and robots do, or if there is no contact. Then the last good pose is kept, and e
 few more initial poses, so that no live frame waits for the search; in a recording, all others.
 
 A light contact fits many poses. A pose found by search is compared with the initial poses not tried
-yet, and with those that fit as well, until they are refuted. While some are untried and the contact
-contradicts the pose, the object is reported as lost.
+yet, and with those that fit as well, until they are refuted; till then its covariance has them.
 """
 
 from __future__ import annotations
@@ -14,20 +13,23 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import Estimator, at_noise
+from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import MembraneMesh, ObjectSurface, RubberMembrane
 from bubbleviz.pose.dual_stage import (
     FOUND_FITNESS,
-    TURNS,
     InitialPoseFinder,
     Solution,
     Solver,
     looks_alike,
 )
-from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between
+from bubbleviz.pose.motion import (
+    START_DEVIATION,
+    Motion,
+    about,
+    motion_between,
+)
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
@@ -42,9 +44,6 @@ another pose, as on its flank. A contact that hops from one foot to another stay
 _MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a live frame, few so that none waits for the search; and in the first."""
-_FINALISTS_AT_FIRST = 2  # the best of these, which are refined
-_UNLIKELY = 0.05  # share of true poses whose misfit counts as a contradiction
-_SAME = 1.0 + 2.0 * np.cos(np.pi / TURNS)  # trace of a turn by half the angle between starts
 _LARGEST = 20.0
 """Size of an object relative to the bubble beyond which the units differ."""
 
@@ -70,8 +69,7 @@ class PoseTracker:
         registration = Registration(self.model, precision_of(estimator))
         self._solver = Solver(registration, estimator, membrane)
         self._finder = InitialPoseFinder(self.model)
-        self._mesh, self._resolution_m = estimator.mesh, estimator.resolution_m
-        self._thorough = thorough
+        self._mesh, self._thorough = estimator.mesh, thorough
         self.reset(start)
 
     def reset(self, start: np.ndarray | None = None) -> None:
@@ -81,8 +79,8 @@ class PoseTracker:
         self._motion: Motion | None = None  # of the last frame with a fit
         self._good = np.full((4, 4), np.nan)  # pose last reported
         self._good_s, self._good_center, self._tried = 0.0, np.zeros(3), 0
-        # poses not tried yet; poses that fit as well; those of the latter compared in this frame
-        self._waiting = self._rivals = self._compared = np.zeros((0, 4, 4))
+        # poses not tried yet; poses that fit as well
+        self._waiting = self._rivals = np.zeros((0, 4, 4))
         self._waiting_at = np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
@@ -104,7 +102,7 @@ class PoseTracker:
                 solution, rejected = None, solution
             elif len(self._waiting) or len(self._rivals):
                 starts = self._next_starts(contact)
-                solution = self._solver.best(frame, contact, starts, 1, known=solution)
+                solution = self._solver.best(frame, contact, starts, known=solution)
         if solution is None and (self._motion is not None or self._start is None):
             solution = self._searched(frame, contact)
             if solution.fit.fitness < FOUND_FITNESS:
@@ -154,15 +152,17 @@ class PoseTracker:
 
     def _searched(self, frame: Frame, contact: ContactPoints) -> Solution:
         """The best of a few initial poses; the next frame tries others."""
-        if self._motion is not None and self._tried <= 1:
+        last = self._motion if self._tried <= 1 else None
+        if last is not None or self._tried == 0:  # the search begins
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
             self._rivals = self._rivals[:0]
-            chosen = np.stack([self._motion.T_B_O, self._carried(contact)])
-        else:
-            chosen = self._next_starts(contact)
+        chosen = np.zeros((0, 4, 4))
+        if last is not None:
+            chosen = np.stack([last.T_B_O, self._carried(contact)])
+        if self._thorough or last is None:
+            chosen = np.concatenate([chosen, self._next_starts(contact)])
         self._tried += 1
-        finalists = _FINALISTS_AT_FIRST if self._motion is None else 1
-        return self._solver.best(frame, contact, chosen, finalists)
+        return self._solver.best(frame, contact, chosen)
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
         """One or two poses that fit as well, and some not tried yet, more at first; or all."""
@@ -176,30 +176,30 @@ class PoseTracker:
         rivals = 2 if len(self._waiting) else 1
         if self._thorough:
             count, rivals = len(self._waiting), len(self._rivals)
-        self._compared, self._rivals = self._rivals[:rivals], self._rivals[rivals:]
+        compared, self._rivals = self._rivals[:rivals], self._rivals[rivals:]
         chosen, self._waiting = self._waiting[:count], self._waiting[count:]
-        return np.concatenate([self._compared, chosen])
+        return np.concatenate([compared, chosen])
 
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion, self._good_s = solution.motion, frame.time_s
         self._good_center, self._tried = contact.center, 0
-        for other in solution.pose.others:
-            if self._is_known(other) or self._looks_new(other):
-                self._rivals = np.concatenate([self._rivals, other[None]])
-        resolution_m = at_noise(self._resolution_m, contact.noise_factor)
-        squares = contact.areas_m2.sum() / resolution_m**2  # with independent errors
-        if len(self._waiting) and solution.fit.cost > chdtri(squares, _UNLIKELY):
-            return Pose("lost", self._good, rejected=solution.fit)
+        new = [
+            other
+            for other in solution.pose.others
+            if not any(looks_alike(self.model, each, other) for each in self._rivals)
+        ]
+        self._rivals = np.concatenate([self._rivals, np.reshape(new, (-1, 4, 4))])
         self._good = solution.pose.T_B_O
-        return replace(solution.pose, others=self._rivals.copy())
+        covariance = solution.pose.covariance + self._spread(solution.pose)
+        return replace(solution.pose, others=self._rivals.copy(), covariance=covariance)
 
-    def _is_known(self, other: np.ndarray) -> bool:
-        """Whether a pose is one of those compared in this frame, after registration."""
-        return any(np.trace(other[:3, :3].T @ each[:3, :3]) > _SAME for each in self._compared)
-
-    def _looks_new(self, other: np.ndarray) -> bool:
-        turns = (each[:3, :3].T @ other[:3, :3] for each in self._rivals)
-        return not any(looks_alike(self.model, turn) for turn in turns)
+    def _spread(self, pose: Pose) -> np.ndarray:
+        """Covariance (6, 6) of a pose that any of those not refuted yet may be instead."""
+        unrefuted, origin = np.concatenate([self._rivals, self._waiting]), pose.T_B_O[:3, 3]
+        motions = [motion_between(pose.T_B_O, other, origin) for other in unrefuted]
+        ways = np.reshape(motions, (-1, 6)) @ about(origin, pose.center_m).T
+        spread: np.ndarray = ways.T @ ways / (1 + len(ways))
+        return spread
 
     def _without(self, frame: Frame, why: PoseStatus) -> Pose:
         """Result of a frame without a new pose; the last good one is kept."""
