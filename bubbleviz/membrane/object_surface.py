@@ -76,7 +76,6 @@ _SPIN = 0.1
 """Singular value over the largest, below which a rotation moves only the facets of a round object,
 not its surface: their normals are up to 5° off if 36 go round. Of study objects, the round ones are
 below 0.01, the others above 0.3."""
-_SAME = 2e-3  # distance over an object's size below which its turned surface is the same; chosen
 _LEAST_M = 1e-6  # distance of a point from a sharp edge above which its direction is known, m
 
 
@@ -171,7 +170,12 @@ class ObjectSurface:
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return np.einsum("ij,ijk->ik", weights, self._corners[facet]), normals
 
-    def nearest_symmetry(self, turn: np.ndarray) -> np.ndarray | None:
+    def nearest_symmetry(
+        self,
+        turn: np.ndarray,
+        # distance over the object's size below which its turned surface is the same; chosen
+        tolerance: float = 2e-3,
+    ) -> np.ndarray | None:
         """Rotation (4, 4) in O near a turn (3, 3) that maps the object onto itself; None: none is.
 
         Points of the turned surface are registered to the surface, by rotation about its centroid,
@@ -187,7 +191,10 @@ class ObjectSurface:
             step = np.linalg.lstsq(np.cross(turned, normal), along, rcond=_SPIN)[0]
             R = Rotation.from_rotvec(step) * R
         turned = R.apply(arms) + middle
-        if np.linalg.norm(turned - self.closest(turned).place, axis=1).max() > _SAME * self.size_m:
+        if (
+            np.linalg.norm(turned - self.closest(turned).place, axis=1).max()
+            > tolerance * self.size_m
+        ):
             return None
         found = np.eye(4)
         found[:3, :3], found[:3, 3] = R.as_matrix(), middle - R.apply(middle)

@@ -216,13 +216,9 @@ TURNS = (
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
-_SAMPLES, _ALIGNING, _ALIKE = 200, 6, 0.02
-"""Number of points of a turned object that are compared with its surface, steps of their
-registration, and distance over the object's size up to which it looks the same; chosen."""
-_SPIN = 0.1
-"""Singular value over the largest, below which a rotation moves only the facets of a round object,
-not its surface: their normals are up to 5° off if 36 go round. Of study objects, the round ones are
-below 0.01, the others above 0.3."""
+_ALIKE = (
+    0.02  # distance over an object's size up to which its turned surface looks the same; chosen
+)
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _CLIPPED_M = 5e-3  # larger distances are clipped
 
@@ -242,27 +238,15 @@ def looking_different(model: ObjectSurface, poses: Sequence[np.ndarray]) -> np.n
 def looks_alike(model: ObjectSurface, one: np.ndarray, other: np.ndarray) -> bool:
     """Whether the turn between two poses (4, 4), or one close to it, is a symmetry.
 
-    Close is half the angle between starts. Points of the turned surface are registered to the
-    surface, by rotation alone.
+    Close is half the angle between starts.
     """
-    turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3])
-    if turn.magnitude() < np.pi / TURNS:
+    turn, close = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]), np.pi / TURNS
+    if turn.magnitude() < close:
         return True
-    points, R = model.sample(_SAMPLES)[0], turn
-    middle = model.facet_areas @ model.obj.vertices[model.triangles].mean(axis=1)
-    middle /= model.facet_areas.sum()  # centroid, which every symmetry keeps
-    arms = points - middle
-    for _ in range(_ALIGNING):
-        turned = R.apply(arms)
-        found = model.closest(turned + middle)
-        way = found.place - middle - turned
-        along = np.einsum("ij,ij->i", way, found.normal)
-        step = np.linalg.lstsq(np.cross(turned, found.normal), along, rcond=_SPIN)[0]
-        R = Rotation.from_rotvec(step) * R
-    turned = R.apply(arms) + middle
-    apart = np.linalg.norm(turned - model.closest(turned).place, axis=1).max()
-    away = (R * turn.inv()).magnitude()
-    return bool(apart < _ALIKE * model.size_m and away < np.pi / TURNS)
+    symmetry = model.nearest_symmetry(turn.as_matrix(), _ALIKE)
+    if symmetry is None:
+        return False
+    return bool((Rotation.from_matrix(symmetry[:3, :3]) * turn.inv()).magnitude() < close)
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:
