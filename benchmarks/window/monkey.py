@@ -199,9 +199,8 @@ class Monkey:
 
     def _seek(self) -> None:
         state = self._session.state
-        if state.facts is not None:
-            state.seek(self._dice.randrange(state.facts.frames))
-            state.set_playing(self._dice.random() < 0.5)
+        state.seek(self._dice.randrange(state.facts.frames))
+        state.set_playing(self._dice.random() < 0.5)
 
     def _action(self) -> None:
         actions = self._session.window.shortcuts.actions

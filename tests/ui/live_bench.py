@@ -79,9 +79,8 @@ class Bench(Driver):
 
     def wait_for_frames(self, frames=3):
         """Wait until so many more frames were shown."""
-        facts = self.state.facts
-        before = self.shown_frame if facts is not None and facts.grows else 0
-        self.wait(lambda: self.state.facts is not None and self.state.facts.grows)
+        before = self.shown_frame if self.state.facts.grows else 0
+        self.wait(lambda: self.state.facts.grows)
         self.wait(lambda: self.shown_frame >= before + frames)
 
     def wait_for_messages(self, count, sensor=0):

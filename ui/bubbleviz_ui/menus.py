@@ -80,10 +80,9 @@ class Menus(QObject):
         from bubbleviz_ui.live.connect_dialog import ConnectDialog
 
         window = self._window
-        sensor, facts = window.controller.sensor, window.state.facts
+        sensor = window.controller.sensor
         # that of a simulation says nothing about the camera to connect
-        unknown = facts is None or facts.simulated
-        name = None if sensor is None or unknown else name_of(sensor)
+        name = None if sensor is None or window.state.facts.simulated else name_of(sensor)
         _deleted_on_close(ConnectDialog(window, window.live_controller, name)).open()
 
     def show_export(self) -> None:
@@ -392,15 +391,12 @@ class Menus(QObject):
 
     def _range_end(self, end: int) -> None:
         state = self._window.state
-        if state.facts is not None:
-            first, last = state.play_range or (0, state.facts.frames - 1)
-            here = state.playhead
-            state.set_range((first, here) if end else (here, last))
+        first, last = state.play_range or (0, state.facts.frames - 1)
+        here = state.playhead
+        state.set_range((first, here) if end else (here, last))
 
     def _go_to_frame(self) -> None:
         state = self._window.state
-        if state.facts is None:
-            return
         last = state.facts.frames - 1
         frame, chosen = QInputDialog.getInt(
             self._window, "Go to frame", f"Frame, 0 to {last}", state.frame, 0, last

@@ -410,10 +410,9 @@ class PanelWindow(QMainWindow):
 
     def _show_title(self) -> None:
         facts, badge = self.state.facts, self.state.badge
-        if facts is not None:
-            status = f" ({badge})" if badge else ""
-            sensor = self._sensor_title(facts)
-            self.setWindowTitle(f"{facts.title}{status} – {sensor} – bubbleviz")
+        status = f" ({badge})" if badge else ""
+        parts = f"{facts.title}{status}", self._sensor_title(facts), "bubbleviz"
+        self.setWindowTitle(" – ".join(filter(None, parts)))
 
     def _sensor_title(self, facts: SourceFacts) -> str:
         sensor = self.controller.sensor
@@ -453,8 +452,6 @@ class PanelWindow(QMainWindow):
         self.scene.set_sensor(opened.sensor, opened.mesh)
 
     def _on_shown(self, result: Result) -> None:
-        if self.state.facts is None:
-            return
         self.stage_times.take(result)
         start = time.perf_counter()
         self.scene.show(result)
@@ -463,13 +460,14 @@ class PanelWindow(QMainWindow):
 
     def _write_numbers(self) -> None:
         """Show the numbers of the current result in the panels."""
-        result, facts = self.controller.result, self.state.facts
-        if result is not None and facts is not None:
+        result, state = self.controller.result, self.state
+        if result is not None:
             self.playback.show_frame()
             self.kappa.show_result(result)
-            history, final = self.state.history, self.state.final
             sensor = self.pair.selected_name
-            self.status.show_result(result, facts, history, final=final, sensor=sensor)
+            self.status.show_result(
+                result, state.facts, state.history, final=state.final, sensor=sensor
+            )
 
     def _on_pose(self) -> None:
         if not self.pose.session.problem:
@@ -478,10 +476,9 @@ class PanelWindow(QMainWindow):
     def _on_failed(self, failed: Failed) -> None:
         message, topic = failed.message, "object" if failed.key == "object" else SOURCE
         if failed.key == "open":
-            facts = self.state.facts
-            stays = "" if facts is None or facts.is_empty else " The current source stays open."
+            stays = "" if self.state.facts.is_empty else " The current source stays open."
             message, topic = f"{message.rstrip('.')}.{stays}", OPENING
-        elif not self.state.grows:
+        elif not self.state.facts.grows:
             self.state.set_playing(False)
         self.messages.add("error", message, failed.details, topic=topic)
 

@@ -266,8 +266,7 @@ class SessionSaver(QObject):
         with self._window.undo_recorder.unrecorded():
             state = self._window.state
             state.set_range(saved.play_range)
-            frames = 0 if state.facts is None else state.facts.frames
-            state.set_markers(tuple(k for k in saved.markers if k < frames))
+            state.set_markers(tuple(k for k in saved.markers if k < state.facts.frames))
         if saved.camera is not None:
             camera = self._window.view.camera
             for name in ("position", "focal_point", "up", "view_angle"):

@@ -95,7 +95,7 @@ class WindowSession:
         elif not restored:
             self._open(startup)
         frame = startup.frame
-        if frame is not None and state.facts is not None and frame != state.frame:
+        if frame is not None and frame != state.frame:
             raise InputError(
                 f"{startup.recording or 'synthetic press'}: has no frame {frame}; "
                 f"choose 0 to {state.facts.frames - 1}"
@@ -141,7 +141,8 @@ class WindowSession:
         live_controller.connect_to(live)
         end = time.monotonic() + CONNECT_S
         self.wait_for(
-            lambda: bool(problems or self.state.facts) or time.monotonic() > end, "connecting"
+            lambda: bool(problems) or not self.state.facts.is_empty or time.monotonic() > end,
+            "connecting",
         )
         self.state.messages.added.disconnect(note)
         if problems:
@@ -167,7 +168,7 @@ class WindowSession:
         if opening:
             self._show_at_once()
             self.wait_for(lambda: not self.controller.opening.busy, "opening")
-        return opening and self.state.facts is not None
+        return opening and not self.state.facts.is_empty
 
     def _show_at_once(self) -> None:
         """Show the window before its source is open, if that was requested."""

@@ -288,7 +288,7 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     bench = open_bench()
     first, second, file = two_recordings(bench.folder)
     bench.open("empty", lambda _: DentSource(robot_sensor()), robot_sensor())
-    bench.wait(lambda: bench.state.facts is not None)
+    bench.wait(lambda: not bench.state.facts.is_empty)
     bench.drop(first, second, file)
     bench.wait(lambda: bench.state.facts.title == "left.mcap")
     for frame in (5, 2, 7):

@@ -41,7 +41,7 @@ def test_session_file_connects_to_other_computers_only_after_a_question(
         saved = SavedSession(live=single(place, sensor_file(tmp_path)))
         (tmp_path / "a.json").write_text(saved.model_dump_json())
         with window_session(Startup(small_sensor())) as session:
-            session.wait_for(lambda: session.state.facts is not None, "opening")
+            session.wait_for(lambda: not session.state.facts.is_empty, "opening")
 
             def open_file(times):
                 session.window.session_saver.open(tmp_path / "a.json")

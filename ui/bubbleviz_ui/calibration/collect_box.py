@@ -129,7 +129,7 @@ class CollectBox(QGroupBox):
     def _show(self) -> None:
         state, kept = self._controller.state, self._calibration.work.collected
         why_not = NO_FRAMES.get(state.badge, "")
-        if state.facts is not None and state.facts.is_empty:
+        if state.facts.is_empty:
             why_not = NOTHING_OPEN
         self.button.setEnabled(not why_not)
         again = "Collect" if kept is None else "Collect again:"

@@ -65,7 +65,9 @@ class Analysis(QObject):
         With colour where it is in use: all numbers are then by depth and colour. Playback pauses:
         the solver analyses while it is idle.
         """
-        if not self.busy and self._state.facts is not None and not self._state.facts.live:
+        if self._state.facts.is_empty:
+            return
+        if not self.busy and not self._state.facts.live:
             self._state.set_playing(False)
         products = plot_products(self._state.settings)
         if needed_products(self._state.settings) & FLOW_PRODUCTS:
@@ -188,8 +190,6 @@ class Controller(QObject):
         fit: bool,
     ) -> None:
         """Register another object, or none; with `fit` at once, in the frame at the cursor."""
-        if self.state.facts is None:
-            return
         client = self.client
         client.forget_pose()
         fitted = client.frame_job(self.state.frame, self._pose_demand) if fit else None
@@ -222,10 +222,8 @@ class Controller(QObject):
 
     def find_reference(self) -> None:
         """Search the contact-free reference images again."""
-        if self.state.facts is not None:
-            self.client.request_frame(
-                self.state.frame, Demand.of(self.state.settings), new_reference=True
-            )
+        demand = Demand.of(self.state.settings)
+        self.client.request_frame(self.state.frame, demand, new_reference=True)
 
     def cold_solve(self) -> None:
         """Request the cold solve of the shown frame now instead of after the delay."""
@@ -246,7 +244,7 @@ class Controller(QObject):
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
         self._cold_solve_timer.stop()  # until the next frame is shown
-        if not (by_playback and self.state.grows):
+        if not (by_playback and self.state.facts.grows):
             self._request_frame()
 
     def _on_playing(self) -> None:
@@ -287,14 +285,14 @@ class Controller(QObject):
 
     def _request_frame(self) -> None:
         """Request the frame at the cursor, unless another source is being opened."""
-        if self.state.facts is not None and self.state.facts is self.client.facts:
+        if self.state.facts is self.client.facts:
             self._cold_solve_timer.stop()  # of the frame shown before
             self.client.request_frame(self.state.frame, Demand.of(self.state.settings))
 
     def _request_newest(self) -> None:
         """Request the newest frame of a live source, unless paused or frozen."""
         state = self.state
-        if state.grows and state.advancing:
+        if state.facts.grows and state.advancing:
             self.client.request_newest(Demand.of(state.settings))
 
     # -- answers ------------------------------------------------------------------------------
@@ -322,7 +320,7 @@ class Controller(QObject):
 
     def _on_solved(self, solved: Solved, newest: bool) -> None:
         """Request the next frame before drawing this one, which keeps the solver busy."""
-        if newest and self.client.facts is not None:
+        if newest:
             self.state.grow(self.client.facts)
             self._request_newest()
         else:
@@ -344,7 +342,7 @@ class Controller(QObject):
         """Show the newly opened source, or the other sensor."""
         client = self.client
         opened, facts, result = client.opened, client.facts, client.result
-        if opened is None or facts is None or result is None:
+        if opened is None or result is None:
             raise RuntimeError("internal error: nothing is open")
         self.opening.current = opened
         self.analysis.stop()
@@ -361,7 +359,7 @@ class Controller(QObject):
         seen = shown is not None and shown.frame.index == result.frame.index
         if seen:
             self.state.shown_frame = result.frame.index
-            self.state.final = self.state.grows or self.client.cold_solved
+            self.state.final = self.state.facts.grows or self.client.cold_solved
         self.state.history_changed.emit()
         if seen:
             self.shown.emit(shown)

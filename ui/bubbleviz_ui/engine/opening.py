@@ -186,7 +186,7 @@ class Opening(QObject):
     def reopen(self, what: str, open_sensor: OpenSensor, source: Source | None = None) -> None:
         """Open the current source again, or `source` in its place, at the current frame."""
         state, source = self._state, source or self.source
-        if source is not None and state.facts is not None:
+        if source is not None:
             self.open(source, open_sensor, what=what, frame=state.frame, playing=state.playing)
 
     def close_source(self) -> None:

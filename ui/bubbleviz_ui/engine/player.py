@@ -119,15 +119,13 @@ class Player(QObject):
 
     def _on_playing(self, playing: bool) -> None:
         self._start()
-        self._timer.start() if playing and not self._state.grows else self._timer.stop()
+        self._timer.start() if playing and not self._state.facts.grows else self._timer.stop()
 
     def _make_clock(self) -> None:
         """Create the clock for another source or range."""
-        facts = self._state.facts
-        if facts is not None:
-            frames = self._state.play_range
-            self._clock = None if facts.grows else PlayClock(facts.times_s, frames)
-            self._start()
+        facts, frames = self._state.facts, self._state.play_range
+        self._clock = None if facts.grows else PlayClock(facts.times_s, frames)
+        self._start()
 
     def _start(self) -> None:
         if self._clock is not None:

@@ -75,8 +75,8 @@ class SensorClient(QObject):
         self.dropped = 0  # Requests replaced by a newer one before they ran
         self.session = object()  # Identity of the open source
         self.opened: Opened | None = None  # None before the first source
-        self.facts: SourceFacts | None = None  # Updated as a live source grows
-        self.history = FrameHistory(0)
+        self.facts = SourceFacts()  # Updated as a live source grows
+        self.history = FrameHistory(self.facts.frames)
         self.result: Result | None = None  # Shown last
         self.inspection = Inspection()  # Diagnostics of `result`
         self.demand = Demand(frozenset())  # Of the last request
@@ -336,7 +336,7 @@ class SensorClient(QObject):
 
         Forces by depth alone and by depth and colour differ; each frame has one of them.
         """
-        colour = self.facts is not None and self.facts.colour and not self.facts.grows
+        colour = self.facts.colour and not self.facts.grows
         return not colour or demand.flow == self.demand.flow
 
     def _remember(self, index: int, numbers: Numbers, demand: Demand) -> None:
@@ -347,12 +347,11 @@ class SensorClient(QObject):
 
     def _grow(self, time_s: float, outages: tuple[Gap, ...]) -> None:
         """Append a frame of a live source."""
-        if self.facts is not None:
-            count = self.facts.frames + 1
-            times = grown(self.facts.times_s, count, np.nan)
-            times[-1] = time_s
-            self.facts = replace(self.facts, times_s=times, outages=outages)
-            self.history.grow(count)
+        count = self.facts.frames + 1
+        times = grown(self.facts.times_s, count, np.nan)
+        times[-1] = time_s
+        self.facts = replace(self.facts, times_s=times, outages=outages)
+        self.history.grow(count)
 
 
 def _inspection(result: Result) -> Inspection:

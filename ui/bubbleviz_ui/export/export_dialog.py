@@ -117,7 +117,7 @@ class ExportDialog(QDialog):
         self.frames.clear()
         if range_ is not None:
             self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
-        count = 0 if facts is None or facts.is_empty else facts.frames
+        count = 0 if facts.is_empty else facts.frames
         self.frames.addItem(f"all {count_of(count, 'frame')}", ALL)
         self.frames.blockSignals(False)
 

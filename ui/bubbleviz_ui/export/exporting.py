@@ -186,10 +186,10 @@ class VideoExport(QObject):
 
     def _captioned_picture(self, frame: int) -> np.ndarray:
         """Picture of the view, with a caption if requested."""
-        caption, facts = self._caption, self._state.facts
-        if caption is None or facts is None:
+        caption, state = self._caption, self._state
+        if caption is None:
             return picture_of(self._view, *self._size)
-        time_text = self._state.units.time.text(float(facts.times_s[frame]))
+        time_text = state.units.time.text(float(state.facts.times_s[frame]))
         caption.SetInput(f"frame {frame} · {time_text}")
         self._view.renderer.AddViewProp(caption)
         try:
@@ -233,7 +233,7 @@ class Exporting(QObject):
     def why_not(self) -> str:
         """Why nothing can be exported now; empty if export is possible."""
         facts = self._state.facts
-        if facts is None or facts.is_empty or self._controller.sensor is None:
+        if facts.is_empty:
             return "No recording is open; open one (Ctrl+O) to export its frames."
         if facts.grows:
             return "Live frames cannot be exported; record them (Ctrl+R) and open the recording."
@@ -241,14 +241,13 @@ class Exporting(QObject):
 
     def frames(self, *, all_frames: bool, step: int = 1) -> range:
         """Every `step`-th frame of the played range, or of all frames."""
-        count = 0 if self._state.facts is None else self._state.facts.frames
+        count = self._state.facts.frames
         first, last = self._state.play_range or (0, count - 1)
         return range(0, count, step) if all_frames else range(first, last + 1, step)
 
     def fps(self, step: int) -> float:
         """Frame rate of a video at the speed of playback."""
-        facts = self._state.facts
-        rate = float("nan") if facts is None else facts.rate_hz / step * self._state.settings.speed
+        rate = self._state.facts.rate_hz / step * self._state.settings.speed
         return min(max(rate, 1.0), 120.0) if rate > 0.0 else SINGLE_FRAME_FPS
 
     def start(self, kind: Kind, frames: range, path: Path, *, captioned: bool = True) -> None:

@@ -248,11 +248,10 @@ class LiveController(QObject):
             self.disconnect_all()
 
     def _on_failed(self, failed: Failed) -> None:
-        request = failed.request
-        if isinstance(request, OpenRequest) and self._is_connected_source(request):
-            facts = self.state.facts
-            if facts is None or self.run is None or facts.title != self.run.frames[0].name:
-                self.disconnect_all()
+        request, run = failed.request, self.run
+        shown = run is not None and self.state.facts.title == run.frames[0].name
+        if isinstance(request, OpenRequest) and self._is_connected_source(request) and not shown:
+            self.disconnect_all()
 
     def _apply_settings(self) -> None:
         """Apply the settings of recording and publishing."""
@@ -270,7 +269,7 @@ class LiveController(QObject):
 
     def _record_marker(self, frame: int) -> None:
         """Write a marker of the timeline to the recording, at the frame's arrival time."""
-        if self.state.grows and self.run is not None:
+        if self.state.facts.grows and self.run is not None:
             at_ns = self.run.frames[self._pair.selected].arrival_ns(frame)
             self.recording.mark(f"marker at frame {frame}", at_ns)
 

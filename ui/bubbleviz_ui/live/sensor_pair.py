@@ -165,20 +165,17 @@ class SensorPair(QObject):
     @property
     def _follows(self) -> bool:
         """Whether the second sensor is live and shows its newest frame."""
-        grows = (
-            self.second is not None and self.second.facts is not None and self.second.facts.grows
-        )
-        return grows and self._state.advancing
+        return self.second is not None and self.second.facts.grows and self._state.advancing
 
     def _request_frame(self) -> None:
         """Request the newest frame, or of a recording and while paused the one of the same time."""
-        second, facts = self.second, self._state.facts
-        if second is None or second.opened is None or facts is None:
+        second = self.second
+        if second is None or second.opened is None:
             return
         if self._follows:
             second.request_newest(self._demand, at_once=True)
         else:
-            time_s = float(facts.times_s[self._state.frame])
+            time_s = float(self._state.facts.times_s[self._state.frame])
             second.request_frame(self._frame_at(time_s, second), self._demand)
 
     def _frame_at(self, time_s: float, second: SensorClient) -> int:
@@ -186,14 +183,14 @@ class SensorPair(QObject):
 
         Recordings made at the same time are aligned by their stamps, others by their first frames.
         """
-        opened, shown, facts = second.opened, self._controller.result, self._state.facts
-        if opened is None or shown is None or facts is None:
+        opened, shown = second.opened, self._controller.result
+        if opened is None or shown is None:
             return 0
         if opened.request.source.stream is not None:
             return opened.request.source.stream.at(time_s)
         times_s = opened.facts.times_s
         later_s = _start_s(shown.frame) - _start_s(opened.result.frame)
-        if -facts.times_s[-1] < later_s < times_s[-1]:
+        if -self._state.facts.times_s[-1] < later_s < times_s[-1]:
             time_s += later_s
         return int(np.abs(times_s - time_s).argmin())
 

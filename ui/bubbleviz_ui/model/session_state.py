@@ -37,7 +37,7 @@ class SessionState(QObject):
         self.messages = Messages(self)
         # not connections, whose references the garbage collection of Python does not see
         self._followers: list[tuple[frozenset[str], Callable[[], object]]] = []
-        self.facts: SourceFacts | None = None  # None until a source is open
+        self.facts = SourceFacts()
         self.frame = self.shown_frame = 0  # Frame at the cursor; frame drawn last
         self.final = True  # Its numbers do not depend on the frames drawn before
         self.playing = False
@@ -47,7 +47,7 @@ class SessionState(QObject):
         self.live_frame = 0  # Newest frame of a live source
         self.play_range: tuple[int, int] | None = None  # First and last frame to play; None: all
         self.markers: tuple[int, ...] = ()  # Marked frames, ascending
-        self.history = FrameHistory(0)
+        self.history = FrameHistory(self.facts.frames)
         self.units = Units()
 
     def open(
@@ -59,7 +59,7 @@ class SessionState(QObject):
         history: FrameHistory | None = None,
     ) -> None:
         """Switch to another source at `frame`; settings are kept."""
-        if self.facts is None or not self.facts.same_source(facts):
+        if not self.facts.same_source(facts):
             self.play_range = None
             self.markers = tuple(sorted({frame for frame, _ in facts.marks}))
         self.facts = facts
@@ -72,18 +72,12 @@ class SessionState(QObject):
     @property
     def title(self) -> str:
         """Title of the open source; empty if none is open."""
-        return "" if self.facts is None or self.facts.is_empty else self.facts.title
-
-    @property
-    def grows(self) -> bool:
-        """Whether the source is live, and frames are added."""
-        return self.facts is not None and self.facts.grows
+        return "" if self.facts.is_empty else self.facts.title
 
     @property
     def left_to_analyse(self) -> int:
         """Number of frames of a recording whose patch is not computed yet."""
-        facts = self.facts
-        whole = facts is None or facts.grows or facts.is_empty
+        whole = self.facts.grows or self.facts.is_empty
         return 0 if whole else len(self.history.missing(PATCH))
 
     @property
@@ -98,8 +92,6 @@ class SessionState(QObject):
 
     def seek(self, index: int, *, by_playback: bool = False) -> None:
         """Move the cursor, clamped to the recording; freezes the view of a live source."""
-        if self.facts is None:
-            return
         if self.facts.live and self.playing and not by_playback:
             self.freeze(True)
         index = min(max(index, 0), self.facts.frames - 1)
@@ -110,23 +102,20 @@ class SessionState(QObject):
 
     def seek_last(self) -> None:
         """Move the cursor to the last frame."""
-        if self.facts is not None:
-            self.seek(self.facts.frames - 1)
+        self.seek(self.facts.frames - 1)
 
     def step(self, frames: int) -> None:
         """Stop playing and move the cursor by some frames."""
-        if self.facts is not None and not self.facts.live:
+        if not self.facts.live:
             self.set_playing(False)
         self.seek(self.frame + frames)
 
     def frame_at(self, time_s: float) -> int:
         """Frame nearest to a time."""
-        return 0 if self.facts is None else int(np.abs(self.facts.times_s - time_s).argmin())
+        return int(np.abs(self.facts.times_s - time_s).argmin())
 
     def step_seconds(self, seconds: float) -> None:
         """Stop playing and move the cursor by some seconds, at least by one frame."""
-        if self.facts is None:
-            return
         away = self.frame_at(self.facts.times_s[self.frame] + seconds) - self.frame
         self.step(away if away * seconds > 0 else int(np.sign(seconds)))
 
@@ -143,7 +132,7 @@ class SessionState(QObject):
 
     def freeze(self, frozen: bool) -> None:
         """Freeze the view of a live source, or return to its newest frame."""
-        if self.facts is None or not self.facts.live or frozen == self.frozen:
+        if not self.facts.live or frozen == self.frozen:
             return
         self.frozen = frozen
         self.frozen_changed.emit(frozen)
@@ -153,8 +142,7 @@ class SessionState(QObject):
     @property
     def badge(self) -> Badge:
         """Status of a live source in one word; empty for a recording or no source."""
-        facts = self.facts
-        return "" if facts is None else facts.badge(self.connection_state, frozen=self.frozen)
+        return self.facts.badge(self.connection_state, frozen=self.frozen)
 
     def set_connection(self, connection: ConnectionState) -> None:
         if connection != self.connection_state:
@@ -163,7 +151,7 @@ class SessionState(QObject):
 
     def set_range(self, frames: tuple[int, int] | None) -> None:
         """Play only the frames from the first to the last one; None: all."""
-        if frames is not None and self.facts is not None:
+        if frames is not None:
             first, last = sorted(min(max(k, 0), self.facts.frames - 1) for k in frames)
             frames = (first, last) if first < last else None
         if frames != self.play_range:
@@ -198,8 +186,6 @@ class SessionState(QObject):
 
         A single frame is not played: it would be solved again and again.
         """
-        if self.facts is None:
-            return
         playing &= self.facts.frames > 1 or self.facts.grows
         if playing == self.playing:
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -25,11 +25,11 @@ NOTHING_OPEN = "nothing open"
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """Properties of the open source."""
+    """Properties of the open source; by default of none, whose only frame is empty."""
 
-    title: str
-    sensor_name: str
-    times_s: np.ndarray  # (F,) times of the frames, s
+    title: str = NOTHING_OPEN
+    sensor_name: str = ""
+    times_s: np.ndarray = field(default_factory=lambda: np.zeros(1))  # (F,) of the frames, s
     live: bool = False  # Live source, not a recording
     grows: bool = False  # Frames are being added
     remark: str = ""  # Warning for the user, or empty
@@ -45,7 +45,7 @@ class SourceFacts:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no source is open; the only frame is then empty."""
+        """Whether no source is open."""
         return self.title == NOTHING_OPEN
 
     @property

@@ -212,7 +212,7 @@ class OtherRecording(QWidget):
         ):
             button.setText(title if path is None else path.name)
         facts = self._state.facts
-        possible = facts is not None and not (facts.is_empty or facts.grows)
+        possible = not (facts.is_empty or facts.grows)
         chosen = self._recording is not None or self._sensor_file is not None
         self.start.setEnabled(possible and chosen)
         self.remove.setEnabled(chosen)
@@ -383,7 +383,7 @@ class ComparePanel(QWidget):
     @property
     def _asks(self) -> bool:
         """Whether to request measurements: a source is open, and the panel is visible."""
-        return self._seen and self._state.facts is not None
+        return self._seen and not self._state.facts.is_empty
 
     def _ask(self) -> None:
         if self._asks:

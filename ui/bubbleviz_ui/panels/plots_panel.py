@@ -185,17 +185,16 @@ class PlotsPanel(QWidget):
 
     def _draw(self) -> None:
         """Redraw all curves."""
-        if self._host.ready and self._state.facts is not None:
+        if self._host.ready:
             for plot in self._shown():
                 plot.draw(self._aligned)
             self._draw_cursor()
             self._show_statistics()
 
     def _draw_cursor(self) -> None:
-        facts, pointed = self._state.facts, self._pointed
-        if not self._host.ready or facts is None:
+        if not self._host.ready:
             return
-        frame = min(self._state.playhead, facts.frames - 1)
+        pointed, frame = self._pointed, min(self._state.playhead, self._state.facts.frames - 1)
         for plot in self._shown():
             plot.show_cursor(frame, None if pointed is None else plot.frame_at(pointed))
 

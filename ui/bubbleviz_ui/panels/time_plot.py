@@ -128,8 +128,6 @@ class TimePlot(FramePlot):
     def draw(self, other: AlignedRun | None = None) -> None:
         """Draw all known values, and those of another recording dashed."""
         facts, history = self._state.facts, self._state.history
-        if facts is None:
-            return
         if facts.grows and not self._state.frozen:
             now_s = float(facts.times_s[-1]) + AHEAD_S
             self.box.setXRange(max(now_s - LIVE_WINDOW_S, 0.0), max(now_s, 1.0), padding=0.0)
@@ -158,21 +156,18 @@ class TimePlot(FramePlot):
 
     def show_all(self) -> None:
         """Show the full time range."""
-        if self._state.facts is not None:
-            first, last = map(float, self._state.facts.times_s[[0, -1]])
-            self.box.setXRange(first, last if last > first else 1.0, padding=0.01)
+        first, last = map(float, self._state.facts.times_s[[0, -1]])
+        self.box.setXRange(first, last if last > first else 1.0, padding=0.01)
 
     def show_cursor(self, frame: int, pointed: int | None) -> None:
         """Move the cursor to a frame; show its values, or those of the frame under the mouse."""
-        facts = self._state.facts
-        if facts is None:
-            return
+        times_s = self._state.facts.times_s
         self.cursor.blockSignals(True)
-        self.cursor.setValue(float(facts.times_s[frame]))
+        self.cursor.setValue(float(times_s[frame]))
         self.cursor.blockSignals(False)
         title = self.trace.short or PLOTS[self.trace.name].title
         if pointed is not None:
-            title = f"at {self._state.units.time.text(float(facts.times_s[pointed]))}"
+            title = f"at {self._state.units.time.text(float(times_s[pointed]))}"
         self.write(f"{title}: {self._numbers(frame if pointed is None else pointed)}")
 
     def frame_at(self, place: QPointF) -> int | None:

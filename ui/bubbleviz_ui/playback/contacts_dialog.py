@@ -40,8 +40,6 @@ class ContactsDialog(QDialog):
 
     def _show(self) -> None:
         state, facts, units = self._state, self._state.facts, self._state.units
-        if facts is None:
-            return
         self._contacts = state.history.contacts()
         self.table.setRowCount(len(self._contacts))
         for row, each in enumerate(self._contacts):

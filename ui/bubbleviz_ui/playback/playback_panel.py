@@ -100,16 +100,14 @@ class PlaybackPanel(QWidget):
         self._repaint.request() if self._state.playing else self.show_frame()
 
     def _show_all(self) -> None:
-        facts, live = self._state.facts, False
-        self.setEnabled(facts is not None)
+        facts, frozen = self._state.facts, self._state.frozen
+        self.setEnabled(not facts.is_empty)
         if (play := self.buttons["Play / pause"].defaultAction()) is not None:
             play.setIconText(PAUSE if self._state.playing else PLAY)
-        if facts is not None:
-            live = facts.live
-            widest = self._text(facts.frames - 1)
-            self.readout.fix_width(self.fontMetrics().horizontalAdvance(widest) + 4)
-        self.buttons["Freeze a live source"].setVisible(live and not self._state.frozen)
-        self.buttons["Go live"].setVisible(live and self._state.frozen)
+        widest = self._text(facts.frames - 1)
+        self.readout.fix_width(self.fontMetrics().horizontalAdvance(widest) + 4)
+        self.buttons["Freeze a live source"].setVisible(facts.live and not frozen)
+        self.buttons["Go live"].setVisible(facts.live and frozen)
         self._fit()
         self.show_frame()
 
@@ -132,13 +130,12 @@ class PlaybackPanel(QWidget):
 
     def show_frame(self) -> None:
         """Show the current frame; during playback the one drawn."""
-        at_end = self._state.grows and self._state.advancing
+        at_end = self._state.facts.grows and self._state.advancing
         self._repaint.request() if at_end else self.timeline.update()
         self.readout.setText(self._text(self._state.playhead))
 
     def _text(self, frame: int) -> str:
-        facts = self._state.facts
-        return "" if facts is None else facts.frame_text(frame, self._state.units, "   ")
+        return self._state.facts.frame_text(frame, self._state.units, "   ")
 
 
 def _width(widgets: Sequence[QWidget]) -> int:

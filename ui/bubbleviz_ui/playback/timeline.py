@@ -22,7 +22,6 @@ from bubbleviz.recordings import Gap, TimeAxis
 from bubbleviz.wording import count_of
 from bubbleviz_ui.model.frame_history import CONTACT, FREE, UNKNOWN, UNTRUSTED
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import SourceFacts
 from bubbleviz_ui.playback.range_strip import GRAB_RADIUS, MARGIN
 from bubbleviz_ui.shell import theme
 
@@ -75,7 +74,7 @@ class Timeline(QWidget):
 
     def mousePressEvent(self, event: QMouseEvent) -> None:
         """Seek, start a range, or grab an end of the range."""
-        if event.button() != Qt.MouseButton.LeftButton or not self._frames:
+        if event.button() != Qt.MouseButton.LeftButton:
             return
         x, frame = event.position().x(), self.frame_at(event.position().x())
         shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
@@ -113,16 +112,14 @@ class Timeline(QWidget):
 
     def event(self, event: QEvent) -> bool:
         """Show the tool tip of the frame under the mouse."""
-        if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent) and self._facts:
+        if event.type() == QEvent.Type.ToolTip and isinstance(event, QHelpEvent):
             QToolTip.showText(event.globalPos(), self.tip(self.frame_at(event.pos().x())), self)
             return True
         return super().event(event)
 
     def tip(self, frame: int) -> str:
         """Tool tip of a frame."""
-        facts = self._facts
-        if facts is None:
-            return ""
+        facts = self._state.facts
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         parts = [
             f"frame {frame} · {time_text}",
@@ -145,14 +142,13 @@ class Timeline(QWidget):
         """Paint the timeline."""
         painter = QPainter(self)
         painter.fillRect(QRectF(MARGIN, RULER, self._span, BAND), QColor(theme.of(self).field))
-        if self._frames and self._facts is not None:
-            self._paint_contact(painter)
-            self._paint_ticks(painter)
-            self._paint_times(painter)
-            self._paint_gaps(painter, self._facts.gaps)
-            self._paint_range(painter)
-            self._paint_markers(painter)
-            self._paint_cursor(painter)
+        self._paint_contact(painter)
+        self._paint_ticks(painter)
+        self._paint_times(painter)
+        self._paint_gaps(painter, self._state.facts.gaps)
+        self._paint_range(painter)
+        self._paint_markers(painter)
+        self._paint_cursor(painter)
         painter.end()
 
     def _paint_contact(self, painter: QPainter) -> None:
@@ -245,17 +241,8 @@ class Timeline(QWidget):
     # -- geometry -----------------------------------------------------------------------------
 
     @property
-    def _facts(self) -> SourceFacts | None:
-        """Current properties, as a live source grows."""
-        return self._state.facts
-
-    @property
-    def _frames(self) -> int:
-        return self._facts.frames if self._facts is not None else 0
-
-    @property
     def _axis(self) -> TimeAxis:
-        return self._facts.axis if self._facts is not None else TimeAxis(np.zeros(0))
+        return self._state.facts.axis
 
     @property
     def _span(self) -> float:

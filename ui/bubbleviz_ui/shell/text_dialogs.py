@@ -88,9 +88,9 @@ class InformationDialog(TextDialog):
             self.text.setPlaceholderText("Reading the recording…")
             worker.submit(partial(_contents, path), self._write, self._on_failed)
             self.finished.connect(worker.cancel)
-        elif facts is not None and facts.is_empty:
+        elif facts.is_empty:
             self._write("Nothing is open.")
-        elif facts is not None:
+        else:
             so_far = " so far" if facts.grows else ""
             self._write(f"Source: {facts.title}, {count_of(facts.frames, 'frame')}{so_far}")
 
