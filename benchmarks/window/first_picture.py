@@ -21,7 +21,7 @@ def first_picture(recording: str, sensor: str | None) -> None:
     session, seen = WindowSession(), list[float]()
 
     def note() -> None:
-        if session.controller.result is not None:  # else the membrane at rest
+        if not session.state.facts.is_empty:  # else the membrane at rest
             seen.append(time.time())
 
     session.window.view.rendered.connect(note)

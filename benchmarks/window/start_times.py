@@ -88,8 +88,7 @@ def _seek(session: WindowSession, frame: int) -> float:
     controller, view, loop = session.controller, session.window.view, QEventLoop()
 
     def note() -> None:
-        result = controller.result
-        if result is not None and result.frame.index == frame:
+        if controller.result.frame.index == frame:
             drawn.append(time.perf_counter())
             loop.quit()
 

@@ -89,7 +89,7 @@ def drive(qtbot, new_window, sensor, press):
         playing = at.setdefault("playing", False)
         driver.open("press", open_source, sensor, **at)
         driver.window.show()
-        driver.wait(lambda: driver.window.controller.result is not None)
+        driver.wait(lambda: not driver.state.facts.is_empty)
         if not playing:
             driver.wait_until_shown()
             driver.wait_until_solved_ahead()

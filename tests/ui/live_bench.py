@@ -68,8 +68,7 @@ class Bench(Driver):
     @property
     def shown_frame(self):
         """Number of the frame that is shown; -1 before the first."""
-        result = self.window.controller.result
-        return -1 if result is None else result.frame.index
+        return self.result.frame.index
 
     def connect(self, preset):
         """Connect and wait for pictures of frames that come live."""

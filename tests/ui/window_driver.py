@@ -64,9 +64,7 @@ class Driver:
     @property
     def result(self):
         """Result shown."""
-        result = self.window.controller.result
-        assert result is not None
-        return result
+        return self.window.controller.result
 
     @property
     def inspection(self):
@@ -117,14 +115,13 @@ class Driver:
 
     def shows_cursor_frame(self):
         """Whether the frame at the cursor is shown."""
-        result = self.window.controller.result
         # during playback the cursor may always be ahead of the solver
-        return result is not None and (self.state.playing or result.frame.index == self.state.frame)
+        return self.state.playing or self.result.frame.index == self.state.frame
 
     def shows_chosen_kappa(self):
         """Whether the patch shown is that of the chosen κ."""
-        kappa, result = self.state.settings.kappa, self.window.controller.result
-        if kappa is None or result is None or result.patch is None or result.estimate is None:
+        kappa, result = self.state.settings.kappa, self.result
+        if kappa is None or result.patch is None or result.estimate is None:
             return False
         mean = mean_pressure(self.pipeline.mesh, result.estimate.contact_pressure_pa)
         return bool(np.isclose(result.patch.threshold_pa, kappa * mean))

@@ -460,14 +460,12 @@ class PanelWindow(QMainWindow):
 
     def _write_numbers(self) -> None:
         """Show the numbers of the current result in the panels."""
-        result, state = self.controller.result, self.state
-        if result is not None:
-            self.playback.show_frame()
-            self.kappa.show_result(result)
-            sensor = self.pair.selected_name
-            self.status.show_result(
-                result, state.facts, state.history, final=state.final, sensor=sensor
-            )
+        result, state, sensor = self.controller.result, self.state, self.pair.selected_name
+        self.playback.show_frame()
+        self.kappa.show_result(result)
+        self.status.show_result(
+            result, state.facts, state.history, final=state.final, sensor=sensor
+        )
 
     def _on_pose(self) -> None:
         if not self.pose.session.problem:

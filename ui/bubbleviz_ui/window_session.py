@@ -223,8 +223,7 @@ class WindowSession:
 
     @property
     def _is_shown(self) -> bool:
-        result = self.controller.result
-        return result is not None and result.frame.index == self.state.frame
+        return self.controller.result.frame.index == self.state.frame
 
     def raise_if_interrupted(self) -> None:
         """Raise KeyboardInterrupt after ^C; for custom event loops."""

@@ -86,7 +86,7 @@ def test_dialog_reports_a_rejected_certificate_lists_topics_and_connects_two_sen
     bench.type(dialog.second, f"replay:{path}?loop=true")
     bench.wait(lambda: bench.run is not None)
     bench.wait(lambda: bench.window.pair.second is not None)
-    bench.wait(lambda: bench.window.pair.second.result is not None)
+    bench.wait(lambda: bench.window.pair.second.opened is not None)
     assert [button.text() for button in bench.window.live.sensors] == ["● first", "● second"]
     assert bench.run.preset.sensors[1].sensor == file
     choose_kind(dialog, PAIR)

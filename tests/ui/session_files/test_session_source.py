@@ -127,7 +127,7 @@ def test_missing_live_source_gives_a_message_and_stays_in_the_session(qtbot, fil
         message = session.window.message
         session.wait_for(message.isVisible, "the message")
         assert "press.mcap" in message.label.text()
-        assert not session.state.facts.grows and session.controller.result is not None
+        assert not session.state.facts.grows and not session.state.facts.is_empty
         session.state.change(solver="fast")  # opens the same press again
         gone = session.controller.client.session
         session.wait_for(lambda: session.controller.client.session is not gone, "again")
@@ -148,7 +148,7 @@ def test_robot_that_is_not_running_yet_is_awaited(qtbot, files, tmp_path):
     with start(config) as session:
         bar = session.window.live
         session.wait_for(bar.isVisible, "the bar")
-        assert session.controller.result is not None  # the built-in press in the meantime
+        assert not session.state.facts.is_empty  # the built-in press in the meantime
         session.window.files.open(files / "dome.toml")  # another sensor, same source
         session.wait_for(lambda: session.controller.sensor.file == "dome.toml", "the sensor")
         bar.leave.click()

@@ -50,7 +50,7 @@ def test_playback_solves_only_frames_it_shows_and_idle_time_completes_the_scale(
     source, driver = HeldSource(sensor, slow_s=0.05), Driver(qtbot, new_window())
     driver.open("held", lambda _: source, sensor, playing=False)
     driver.window.show()
-    driver.wait(lambda: driver.window.controller.result is not None)
+    driver.wait(lambda: not driver.state.facts.is_empty)
     state, shown = driver.state, []
     state.set_range((0, 3))  # without contact
     state.set_playing(True)

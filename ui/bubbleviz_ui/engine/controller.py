@@ -149,8 +149,8 @@ class Controller(QObject):
         return self.client.worker
 
     @property
-    def result(self) -> Result | None:
-        """Result shown; None before the first source."""
+    def result(self) -> Result:
+        """Result shown."""
         return self.client.result
 
     @property
@@ -161,7 +161,7 @@ class Controller(QObject):
     @property
     def cold_solved(self) -> bool:
         """Whether no cold solve of the shown frame is due."""
-        return self.state.advancing or self.client.result is None or self.client.cold_solved
+        return self.state.advancing or self.client.cold_solved
 
     @property
     def dropped(self) -> int:
@@ -342,7 +342,7 @@ class Controller(QObject):
         """Show the newly opened source, or the other sensor."""
         client = self.client
         opened, facts, result = client.opened, client.facts, client.result
-        if opened is None or result is None:
+        if opened is None:
             raise RuntimeError("internal error: nothing is open")
         self.opening.current = opened
         self.analysis.stop()
@@ -356,7 +356,7 @@ class Controller(QObject):
     def _show(self, result: Result) -> None:
         """Draw a result if it belongs to the shown frame."""
         shown = self.client.result
-        seen = shown is not None and shown.frame.index == result.frame.index
+        seen = shown.frame.index == result.frame.index
         if seen:
             self.state.shown_frame = result.frame.index
             self.state.final = self.state.facts.grows or self.client.cold_solved

@@ -41,9 +41,9 @@ class Hover(QObject):
         self._target = target
         self._find(self._controller.result)
 
-    def _find(self, result: Result | None) -> None:
+    def _find(self, result: Result) -> None:
         place, target = None, self._target
-        if self._probe is not None and result is not None and target is not None:
+        if self._probe is not None and target is not None:
             if isinstance(target, tuple):
                 place = self._probe.at_pixel(target, result)
             else:

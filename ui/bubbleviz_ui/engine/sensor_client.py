@@ -20,7 +20,7 @@ from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import FrameHistory, grown
 from bubbleviz_ui.model.session_state import SessionState
-from bubbleviz_ui.model.source_facts import SourceFacts
+from bubbleviz_ui.model.source_facts import NO_RESULT, SourceFacts
 from bubbleviz_ui.model.throttle import RateMeter
 
 IMAGES_EVERY_S = 0.15
@@ -77,7 +77,7 @@ class SensorClient(QObject):
         self.opened: Opened | None = None  # None before the first source
         self.facts = SourceFacts()  # Updated as a live source grows
         self.history = FrameHistory(self.facts.frames)
-        self.result: Result | None = None  # Shown last
+        self.result = NO_RESULT  # Shown last
         self.inspection = Inspection()  # Diagnostics of `result`
         self.demand = Demand(frozenset())  # Of the last request
         # Computed for every live frame in addition to what is visible
@@ -98,8 +98,7 @@ class SensorClient(QObject):
     @property
     def images_outdated(self) -> bool:
         """Whether the images belong to an earlier frame than the one shown."""
-        shown = None if self.result is None else self.result.frame
-        return bool(self.demand.images) and self._imaged_frame is not shown
+        return bool(self.demand.images) and self._imaged_frame is not self.result.frame
 
     @property
     def shown_thinned(self) -> bool:
@@ -110,7 +109,7 @@ class SensorClient(QObject):
     def cold_solved(self) -> bool:
         """Whether the frame shown was solved from rest."""
         result = self.result
-        return result is not None and (result.estimate is None or self._cold_solved is result.frame)
+        return result.estimate is None or self._cold_solved is result.frame
 
     def open(self, request: OpenRequest) -> None:
         """Open a source in place of the current one."""
@@ -120,12 +119,11 @@ class SensorClient(QObject):
 
     def request_cold_solve(self) -> None:
         """Request a cold solve of the shown frame; its pose is kept."""
-        if self.result is not None:
-            due = self._due(self.demand)
-            products = self._shown_demand.products - OBJECT_PRODUCTS | due.images
-            demand = replace(due, products=products, options=self._options)
-            function = partial(self.solver.frame, self.result.frame.index, demand, cold=True)
-            self.worker.submit(function, self._take_cold_solve, key="cold_solve")
+        due = self._due(self.demand)
+        products = self._shown_demand.products - OBJECT_PRODUCTS | due.images
+        demand = replace(due, products=products, options=self._options)
+        function = partial(self.solver.frame, self.result.frame.index, demand, cold=True)
+        self.worker.submit(function, self._take_cold_solve, key="cold_solve")
 
     def request_frame(self, index: int, demand: Demand, *, new_reference: bool = False) -> None:
         """Request a frame; `new_reference`: search the contact-free colour images again."""
@@ -168,7 +166,7 @@ class SensorClient(QObject):
     def request_patch(self) -> None:
         """Request the patch of the shown result at the current κ."""
         result, requested = self.result, self.demand
-        if result is None or result.estimate is None or "patch" not in requested.products:
+        if result.estimate is None or "patch" not in requested.products:
             return
         products = requested.products - requested.images - {"kappa_curve"}
         demand = replace(requested, products=products, options=self._options)
@@ -196,7 +194,7 @@ class SensorClient(QObject):
 
     def forget_pose(self) -> None:
         """Remove the pose from the shown result, as another object or initial pose is used."""
-        if self.result is not None and self.result.pose is not None:
+        if self.result.pose is not None:
             self.result = replace(self.result, pose=None, object_patch=None)
             self.patched.emit(self.result)
 
@@ -310,10 +308,10 @@ class SensorClient(QObject):
         self.solve_rate.tick(time.perf_counter())
         shown, new, requested = self.result, solved.result, solved.demand
         self._remember(new.frame.index, solved.numbers, requested)
-        same = shown is not None and shown.frame.index == new.frame.index
+        same = shown.frame.index == new.frame.index
         wanted = self._shown_demand.products | self.demand.images
         # else another frame, or more products of this one, are shown by now
-        if shown is not None and same and wanted <= requested.products | OBJECT_PRODUCTS:
+        if same and wanted <= requested.products | OBJECT_PRODUCTS:
             pose, by_object = shown.pose, shown.object_patch
             self.result = replace(new, frame=shown.frame, pose=pose, object_patch=by_object)
             self._shown_demand = replace(self._shown_demand, options=requested.options)
@@ -323,7 +321,7 @@ class SensorClient(QObject):
 
     def _take_patch(self, demand: Demand, answer: tuple[Result, Numbers]) -> None:
         result, (patched, numbers) = self.result, answer
-        if result is not None and result.estimate is patched.estimate:  # else another is shown
+        if result.estimate is patched.estimate:  # else another is shown
             self._remember(result.frame.index, numbers, demand)
             if "components" in demand.products:
                 parts = _inspection(patched).components

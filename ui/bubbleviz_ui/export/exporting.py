@@ -168,7 +168,7 @@ class VideoExport(QObject):
         if self._drawn == len(self._frames):
             return
         wanted, result = self._frames[self._drawn], self._controller.result
-        if result is None or result.frame.index != wanted:
+        if result.frame.index != wanted:
             self._state.set_playing(False)
             self._state.seek(wanted)
             return

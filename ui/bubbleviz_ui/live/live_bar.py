@@ -234,8 +234,7 @@ class LiveBar(QFrame):
         for number, (sensor, button) in enumerate(
             zip(self._pair.sensors, self.sensors, strict=False)
         ):
-            name, result = sensor.name, self._pair.result_of(number)
-            doubt = "" if result is None else untrusted_text(result)
+            name, doubt = sensor.name, untrusted_text(self._pair.result_of(number))
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
 

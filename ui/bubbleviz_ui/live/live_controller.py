@@ -80,10 +80,9 @@ class LiveController(QObject):
     @property
     def shown_age_s(self) -> float:
         """Time since the arrival of the frame shown, s; 0 while frozen."""
-        result = self._controller.result
-        if result is None or not self.state.advancing:
+        if not self.state.advancing:
             return 0.0
-        return 1e-9 * (time.time_ns() - result.frame.arrival_ns)
+        return 1e-9 * (time.time_ns() - self._controller.result.frame.arrival_ns)
 
     @property
     def shown_hz(self) -> float:

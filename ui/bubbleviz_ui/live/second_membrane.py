@@ -48,7 +48,7 @@ class SecondMembrane(QObject):
 
     def _show(self, _: object = None) -> None:
         shown, aligned = self._controller.result, self._aligned
-        if shown is None or aligned is None or self._drawing is None:
+        if aligned is None or self._drawing is None:
             return
         k = int(np.abs(aligned.times_s - shown.frame.time_s).argmin())
         result, settings = aligned.run[k].result, self._controller.state.settings

@@ -20,6 +20,7 @@ from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
+from bubbleviz_ui.model.source_facts import NO_RESULT
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene, SecondScene
 
@@ -102,10 +103,10 @@ class SensorPair(QObject):
             )
         )
 
-    def result_of(self, number: int) -> Result | None:
-        """Result shown of a sensor; None before its first frame."""
+    def result_of(self, number: int) -> Result:
+        """Result shown of a sensor."""
         client = self._controller.client if number == self.selected else self.second
-        return None if client is None else client.result
+        return NO_RESULT if client is None else client.result
 
     @property
     def selected_name(self) -> str:
@@ -184,7 +185,7 @@ class SensorPair(QObject):
         Recordings made at the same time are aligned by their stamps, others by their first frames.
         """
         opened, shown = second.opened, self._controller.result
-        if opened is None or shown is None:
+        if opened is None:
             return 0
         if opened.request.source.stream is not None:
             return opened.request.source.stream.at(time_s)
@@ -291,14 +292,9 @@ class SensorPair(QObject):
         self._show()
 
     def _show(self) -> None:
-        """Draw the second sensor with the next picture of the selected one, in a single render.
-
-        Not before the selected one has a result, as the colour bars are of the previous source.
-        """
+        """Draw the second sensor with the next picture of the selected one, in a single render."""
         second, drawing = self.second, self.drawing
-        if second is None or drawing is None:
-            return
-        if second.result is None or self._controller.result is None:
+        if second is None or drawing is None or second.opened is None:
             return
         drawing.show(second.result, self._state.settings, second.history)
         if self._selected_silent:

@@ -10,7 +10,7 @@ import numpy as np
 
 from bubbleviz.files import presets_folder
 from bubbleviz.live import State
-from bubbleviz.recordings import Gap, TimeAxis, find_gaps
+from bubbleviz.recordings import Frame, Gap, TimeAxis, find_gaps
 from bubbleviz.result import Result
 from bubbleviz.sensor import Sensor
 from bubbleviz_ui.model.units import DASH, Units
@@ -118,6 +118,9 @@ def title_text(sensor: Sensor) -> str:
     """Name and file of a sensor."""
     return f"{sensor.name} ({file_text(sensor)})"
 
+
+NO_RESULT = Result(Frame(-1, 0.0, np.full((1, 1), np.nan, np.float32)))
+"""Shown before the first source."""
 
 # Texts about a result, the same wherever the window shows them.
 

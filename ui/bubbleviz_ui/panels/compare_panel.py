@@ -406,8 +406,8 @@ class ComparePanel(QWidget):
             self.measured.emit(self._measured)
 
     def _show(self) -> None:
-        result = self._controller.result
-        colour = result is not None and result.estimate is not None and result.estimate.flow
+        estimate = self._controller.result.estimate
+        colour = estimate is not None and estimate.flow
         self.hint.setText(f"{DEPTH_ALONE}\n{NEEDS_TRUTH}" if colour else NEEDS_TRUTH)
         for column, one in zip((self.a, self.b), self._measured, strict=True):
             column.show_measured(one, self._state.units, SOLVING if self._asks else DASH)

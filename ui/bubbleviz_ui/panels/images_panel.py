@@ -299,7 +299,7 @@ class ImagesPanel(QWidget):
             return
         result, inspection = self._controller.result, self._controller.inspection
         images: dict[str, np.ndarray | None] = {**inspection.images}
-        if result is not None and result.patch is not None:
+        if result.patch is not None:
             images["patch"] = result.patch.pixel_mask
         reasons = {"flow": inspection.no_flow or inspection.reference}
         if inspection.colour is not None:

@@ -25,7 +25,7 @@ from bubbleviz.result import Result
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, Settings
-from bubbleviz_ui.model.source_facts import force_text, untrusted_text
+from bubbleviz_ui.model.source_facts import NO_RESULT, force_text, untrusted_text
 from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import FramePlot
@@ -74,7 +74,7 @@ class KappaPanel(QWidget):
         self.by_object.setToolTip("Area of the patch by the object at its pose (green outline)")
         self.doubt = theme.doubtful(QLabel(wordWrap=True))
         self._lay_out()
-        self.show_result(None)
+        self.show_result(NO_RESULT)
         self._bind(state)
 
     def _lay_out(self) -> None:
@@ -115,21 +115,19 @@ class KappaPanel(QWidget):
         """Show the controls of κ unless the threshold is automatic."""
         self.by_kappa.setVisible(self._state.settings.kappa is not None)
 
-    def show_result(self, result: Result | None) -> None:
-        """Show the numbers of the patch; dashes without a result."""
-        units, patch = self._state.units, None if result is None else result.trusted_patch
+    def show_result(self, result: Result) -> None:
+        """Show the numbers of the patch; dashes without one."""
+        units, patch = self._state.units, result.trusted_patch
         threshold_pa = patch.threshold_pa if patch else None
         automatic = self._state.settings.kappa is None
         self.threshold.setText("automatic" if automatic else units.pressure.text(threshold_pa))
         area = (patch.area_m2, *patch.area_interval_m2) if patch else (math.nan,) * 3
         self.area.setText(units.area.with_range(*area))
-        found = None if result is None else result.object_patch
+        found = result.object_patch
         self.by_object.setText("" if found is None else units.area.text(found.area_m2))
         self._form.setRowVisible(self.by_object, found is not None)
-        final = self._state.final
-        force = units.force.text(None) if result is None else force_text(result, units, final=final)
-        self.force.setText(force)
-        self.doubt.setText("" if result is None else untrusted_text(result))
+        self.force.setText(force_text(result, units, final=self._state.final))
+        self.doubt.setText(untrusted_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))
 
 
@@ -228,11 +226,9 @@ class KappaPlot(KappaAxisPlot):
         self.write(text)
 
 
-def _heading(
-    curve: KappaCurve | None, result: Result | None, kappa: float | None, units: Units
-) -> str:
+def _heading(curve: KappaCurve | None, result: Result, kappa: float | None, units: Units) -> str:
     """Area at κ and what remains of it without small parts, or the automatic area."""
-    patch = None if result is None else result.trusted_patch
+    patch = result.trusted_patch
     area_m2 = None if patch is None else patch.area_m2
     if kappa is None:
         return f"auto {units.area.text(area_m2)}"

@@ -52,7 +52,7 @@ class ProfilePlot(PlotHost):
 
     def _draw(self, _: Any = None) -> None:
         opened, result = self._controller.client.opened, self._controller.result
-        if not self.ready or self._ends_m is None or opened is None or result is None:
+        if not self.ready or self._ends_m is None or opened is None:
             return
         found = profile(opened.camera, opened.mesh, result, self._ends_m)
         if found is None:

@@ -223,8 +223,7 @@ class PoseSession(QObject):
     @property
     def object_patch(self) -> ObjectPatch | None:
         """Patch by the object of the frame shown, if requested."""
-        result = self._controller.result
-        return None if result is None else result.object_patch
+        return self._controller.result.object_patch
 
     def reset(self) -> None:
         """Discard all poses and stop tracking, as an undo step; object and initial pose stay."""

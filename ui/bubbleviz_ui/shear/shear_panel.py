@@ -91,10 +91,10 @@ STATES = {
 }
 
 
-def shear_texts(result: Result | None, units: Units, *, final: bool = True) -> dict[str, str]:
+def shear_texts(result: Result, units: Units, *, final: bool = True) -> dict[str, str]:
     """Texts by name, including `state`; `final` as for `force_text`."""
-    traction = None if result is None else result.traction
-    if result is None or traction is None:
+    traction = result.traction
+    if traction is None:
         return dict.fromkeys(("state", *NUMBERS), DASH)
     numbers = ShearNumbers.of(result)
     known = math.isfinite(numbers.direction_deg[0])
@@ -175,22 +175,19 @@ class ShearPanel(QWidget):
     def _write(self) -> None:
         if "shear" not in self._state.settings.panels:
             return
-        result = self._controller.result
-        final = self._state.final
-        words = shear_texts(result, self._state.units, final=final)
-        searching = DASH if result is None or result.estimate is None else SEARCHING
+        result, final = self._controller.result, self._state.final
+        words, traction = shear_texts(result, self._state.units, final=final), result.traction
+        searching = DASH if result.estimate is None else SEARCHING
         self.reference.setText(self._controller.inspection.reference or searching)
         self.state.setText(words["state"])
-        said = result is not None and result.traction is not None and result.traction.reason
+        said = traction is not None and traction.reason
         self.reference.setVisible(not said or not self.reference.text().endswith(said))
         for name, label in self.values.items():
             label.setText(words[name])
-        known = result is not None and result.traction is not None
-        self.copy.setEnabled(known and final)
-        numbers = ShearNumbers() if result is None else ShearNumbers.of(result)
-        self.plot.draw(numbers, self._state.units.force)
+        self.copy.setEnabled(traction is not None and final)
+        self.plot.draw(ShearNumbers.of(result), self._state.units.force)
 
     def _copy(self) -> None:
         result = self._controller.result
-        if result is not None and result.traction is not None:
+        if result.traction is not None:
             QGuiApplication.clipboard().setText(shear_report(result, self._state.units))
