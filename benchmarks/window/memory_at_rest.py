@@ -31,7 +31,7 @@ class Rest:
         session: WindowSession,  # its current state is the rest state
     ) -> None:
         self._session = session
-        self._choices, self._panels = session.state.settings, session.window.open_panels.names
+        self._choices, self._panels = session.state.settings, session.window.open_panels
 
     def tour(self) -> None:
         """Open every panel, search for an object and calibrate, so that everything is loaded."""
@@ -57,7 +57,7 @@ class Rest:
         while calibration.busy:
             run_for(GLANCE_S)
         with window.undo_recorder.unrecorded():
-            window.open_panels.show_only(self._panels)
+            window.show_only(self._panels)
             state.change(**{f.name: getattr(self._choices, f.name) for f in fields(self._choices)})
         state.set_range(None)
         state.set_playing(False)

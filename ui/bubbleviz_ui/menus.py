@@ -323,12 +323,7 @@ class Menus(QObject):
         for panel in window.panels.values():
             if isinstance(panel, QDockWidget):
                 menu.addAction(panel.toggleViewAction())
-        CheckMark(
-            self._switch(menu, "Status bar"),
-            lambda: not window.status.isHidden(),
-            window.status.setVisible,
-            menu.aboutToShow,
-        )
+        bind_membership(self._switch(menu, "Status bar"), window.state, "panels", "status")
 
     def _tool(self, menu: QMenu, name: str, title: str) -> None:
         """Add an action that selects a tool; unchecked, the mouse only rotates."""

@@ -60,7 +60,6 @@ from bubbleviz_ui.shell.binding import watch_controls
 from bubbleviz_ui.shell.dock import (
     FRAME,
     Dock,
-    OpenPanels,
     TabsForRoom,
     column,
     fill,
@@ -171,9 +170,22 @@ class PanelWindow(QMainWindow):
     def use_scene(self, preset: ScenePreset) -> None:
         """Apply a scene preset: layers, panels, viewpoint."""
         with self.undo_recorder.one_step("scene"):
-            self.open_panels.show_only(preset.settings["panels"])
+            self.show_only(preset.settings["panels"])
             self.state.change(**preset.settings)
         self.scene.reset_view()
+
+    @property
+    def open_panels(self) -> frozenset[str]:
+        """Names of the open panels, whether or not their tab is in front."""
+        docks = frozenset(name for name, dock in self._docks.items() if not dock.isHidden())
+        return docks | (self.state.settings.panels & {"status"})
+
+    def show_only(self, names: frozenset[str]) -> None:
+        """Open these panels and close all others."""
+        closed_first = sorted(self._docks, key=lambda name: name in names)  # they make room
+        for name in closed_first:
+            self._docks[name].setVisible(name in names)
+        self.state.include("panels", "status", "status" in names)
 
     def save_screenshot(self, path: Path) -> None:
         """Write a screenshot of the window."""
@@ -186,7 +198,6 @@ class PanelWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Stop timers and threads, then release VTK."""
-        self.open_panels.close()
         self._rates_timer.stop()
         self.state.blockSignals(True)  # receivers are being deleted
         self.calibration.close_all()
@@ -312,7 +323,6 @@ class PanelWindow(QMainWindow):
         self.setStatusBar(self.status)
         watch_controls(self.live)
         self.panels = self._make_docks()
-        self.open_panels = OpenPanels(self.panels, self.state, self)
 
     def _make_docks(self) -> dict[str, QWidget]:
         """Create the docks of all panels except the status bar."""
@@ -368,8 +378,8 @@ class PanelWindow(QMainWindow):
         self.compare.measured.connect(self.scene.compare)
         self.compare.other.aligned.connect(self.plots.show_other)
         self.compare.other.membrane.connect(self.second_membrane.take)
-        panels, watch = self.open_panels, self.undo_recorder.watch
-        watch("open panels", panels.changed, lambda: panels.names, panels.show_only)
+        changed = self.state.settings_changed  # as each panel that is opened or closed changes them
+        self.undo_recorder.watch("open panels", changed, lambda: self.open_panels, self.show_only)
         for text, box in self.calibration.boxes.items():
             self.undo_recorder.watch_box(text, box)
         self.playback.timeline.range_dragged.connect(self._play_range)
@@ -380,6 +390,7 @@ class PanelWindow(QMainWindow):
         self.state.source_changed.connect(self._on_source)
         self.state.frozen_changed.connect(self._show_title)
         self.state.connection_changed.connect(self._on_connection)
+        self.state.follow({"panels"}, self._show_status)
         self.state.follow({"theme"}, lambda: self._use_theme(theme.system_scheme()))
         self.state.follow(UNIT_CHOICES, self._show_units)
         self.state.follow(DRAWN, self.scene.redraw)
@@ -417,6 +428,9 @@ class PanelWindow(QMainWindow):
     def _sensor_title(self, facts: SourceFacts) -> str:
         sensor = self.controller.sensor
         return facts.sensor_name if sensor is None else title_text(sensor)
+
+    def _show_status(self) -> None:
+        self.status.setVisible("status" in self.state.settings.panels)
 
     def _show_units(self) -> None:
         """Update all numbers after a change of units."""

@@ -212,7 +212,6 @@ class SessionSaver(QObject):
                 window.restore_layout(_bytes(saved.layout), saved.dragged)
                 named = Qt.DockWidgetArea.__members__
                 window.tabs.made = {named[name] for name in saved.tabbed_sides if name in named}
-            window.status.setVisible("status" in settings.panels)
 
     def open_source(
         self,

@@ -131,12 +131,12 @@ def test_closing_asks_to_save_and_a_cancelled_session_changes_nothing(drive, fol
     bench = Bench(other)
     bench.identify()
     window, state = bench.window, bench.state
-    before = state.settings, window.open_panels.names, state.facts
+    before = state.settings, window.open_panels, state.facts
     samples = weakref.ref(bench.answer.found.samples)  # a hundred MB of a large camera
     look = partial(window.files.open, folder / "look.bubbleviz")
     assert "rest.mcap is not saved" in answered(bench, look, "Cancel")
     bench.wait_until_shown()
-    assert (state.settings, window.open_panels.names, state.facts) == before
+    assert (state.settings, window.open_panels, state.facts) == before
     close = partial(bench.trigger, "File › Quit")
     assert "rest.mcap is not saved" in answered(bench, close, "Cancel")
     assert window.isVisible() and bench.panel.calibration.unsaved

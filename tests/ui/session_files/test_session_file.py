@@ -74,7 +74,7 @@ def test_layout_with_tabs_is_restored_into_a_window_that_was_not_shown(
     window.session_saver.apply_settings(read_session(files / "look.bubbleviz"))
     assert not [record.message for record in qtlog.records if "resizeDocks" in record.message]
     window.show()
-    assert window.open_panels.names == driver.window.open_panels.names
+    assert window.open_panels == driver.window.open_panels
     tabs = lambda shown: {each.windowTitle() for each in shown}  # noqa: E731
     for name in ("plots", "kappa"):
         ours, theirs = (each.panels[name] for each in (driver.window, window))

@@ -184,7 +184,7 @@ def test_reason_for_shear_from_depth_alone_is_shown_else_arrows_and_intervals(
     assert words["state"].endswith("; force direction not verified on real sensors")
     assert words["slip"] == "40 ± 20 %"
     # in one line also in a narrow panel, that is with its unit
-    window.open_panels.show_only(frozenset({"shear"}))
+    window.show_only(frozenset({"shear"}))
     window.resizeDocks([window.panels["shear"]], [1], Qt.Orientation.Horizontal)
     for name, label in panel.values.items():
         label.setText(words[name])

@@ -1,13 +1,13 @@
-"""Docks, tracking of open panels, and layout helpers."""
+"""Docks and layout helpers."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
-from PySide6.QtCore import QEvent, QObject, QRect, QSize, Qt, Signal, SignalInstance
+from PySide6.QtCore import QEvent, QRect, QSize, Qt, SignalInstance
 from PySide6.QtGui import QCloseEvent, QPainter, QPaintEvent
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -24,8 +24,6 @@ from PySide6.QtWidgets import (
     QToolButton,
     QWidget,
 )
-
-from bubbleviz_ui.model.session_state import SessionState
 
 USABLE = 0.6
 """Below this share of its size hint a dock that is opened becomes a tab."""
@@ -204,49 +202,6 @@ def scrolled(panel: QWidget) -> QScrollArea:
     bar = area.style().pixelMetric(QStyle.PixelMetric.PM_ScrollBarExtent)
     area.setMinimumWidth(panel.minimumSizeHint().width() + bar)
     return area
-
-
-# Which panels are open, whether or not their tab is in front.
-
-
-STATUS = "status"
-
-
-class OpenPanels(QObject):
-    """Tracks the open panels, by their names in scene presets."""
-
-    changed = Signal()  # A panel was opened or closed
-
-    def __init__(self, panels: Mapping[str, QWidget], state: SessionState, parent: QObject) -> None:
-        super().__init__(parent)
-        self._panels, self._state = panels, state
-        for panel in panels.values():
-            panel.installEventFilter(self)
-
-    @property
-    def names(self) -> frozenset[str]:
-        """Names of the open panels."""
-        return frozenset(name for name, panel in self._panels.items() if not panel.isHidden())
-
-    def show_only(self, names: frozenset[str]) -> None:
-        """Open these panels and close all others."""
-        closed_first = sorted(self._panels, key=lambda name: name in names)  # they make room
-        for name in closed_first:
-            self._panels[name].setVisible(name in names)
-
-    def close(self) -> None:
-        """Stop tracking, before the window destroys its panels."""
-        for panel in self._panels.values():
-            panel.removeEventFilter(self)
-
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Detect that a panel was opened or closed; hiding the window does not count."""
-        if event.type() in (QEvent.Type.ShowToParent, QEvent.Type.HideToParent):
-            if watched is self._panels[STATUS]:
-                # docks do that by their visibility
-                self._state.include("panels", STATUS, STATUS in self.names)
-            self.changed.emit()
-        return False
 
 
 # Layout helpers, and bars and labels for narrow windows.
