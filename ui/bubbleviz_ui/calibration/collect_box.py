@@ -76,8 +76,6 @@ class CollectBox(QGroupBox):
         fill(QVBoxLayout(self), row, self.contact_free, buttons, self.message)
 
     def _start(self) -> None:
-        if self._controller.sensor is None:
-            return
         self._controller.state.set_playing(True)
         self._name, self._fits, self.active = self._calibration.name, False, True
         self.frames = []

@@ -44,8 +44,6 @@ class Publishing(QObject):
 
     def start(self, run: LiveRun) -> None:
         """Listen at the endpoint and publish all new results."""
-        if self.on:
-            return
         self.on, endpoint = True, self.endpoint
         then = partial(self._on_open, run)
         self._worker.submit(partial(_publisher, endpoint), then, self._on_refused)

@@ -36,8 +36,6 @@ class Recording(QObject):
 
     def start(self, recorder: Recorder, path: Path | None = None) -> None:
         """Start recording to a new file, by default in `folder` with the time as its name."""
-        if self.busy:
-            return
         path = path or new_name(self.folder)
         self.busy, self._recorder, self._began = True, recorder, time.monotonic()
         self._worker.submit(lambda: _start(recorder, path), failed=self._on_refused)

@@ -198,8 +198,6 @@ class PoseSession(QObject):
 
     def fit_once(self) -> None:
         """Fit the object to the frame at the cursor, from the initial pose."""
-        if self.obj is None or self.busy:
-            return
         self._state.set_playing(False)
         self.busy = True
         self._set_object(fit=True)
