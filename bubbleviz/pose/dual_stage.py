@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -67,20 +66,14 @@ class Solver:
         estimator: Estimator,
         membrane: RubberMembrane,  # that the object presses into
     ) -> None:
-        self._registration, self._estimator = registration, estimator
-        self._membrane = membrane
-
-    @cached_property
-    def _image(self) -> ImageFit:
-        """Fit to the depth image; built with the first pose."""
-        own = self._estimator
-        pressed = PressedMembrane(self._membrane, own.bubble.gas, self._registration.model)
-        return ImageFit(own.observer, pressed)
+        self._registration, self._observer = registration, estimator.observer
+        # now, so that the first frame is not delayed
+        pressed = PressedMembrane(membrane, estimator.bubble.gas, registration.model)
+        self._image = ImageFit(self._observer, pressed)
 
     def reset(self) -> None:
         """Forget the previous pose."""
-        if "_image" in vars(self):
-            self._image.reset()
+        self._image.reset()
 
     def solve(
         self, frame: Frame, contact: ContactPoints, predicted: Motion, *, tracking: bool
@@ -104,7 +97,7 @@ class Solver:
             motion, persistent, fit = by_image
         unknown = motion.covariance[:6, :6] + persistent
         if contact.image_errors is not None:
-            T_B_C = self._estimator.observer.camera.T_B_C
+            T_B_C = self._observer.camera.T_B_C
             unknown[:3, :3] += contact.image_errors.displacement_covariance(T_B_C)
         found, count = directions(fit.surface, contact.radius_m), len(contact.points)
         here = about(motion.center, contact.center)
@@ -173,13 +166,13 @@ class Solver:
         """
         directed, T = directions(fit.surface, contact.radius_m), fit.T_B_O
         narrowest = np.sqrt(3.0) if tracking and directed.determined.any() else 1.0
-        if contact.width_m < narrowest * self._membrane.mesh.edge_length:
+        if contact.width_m < narrowest * self._observer.mesh.edge_length:
             return None
         if tracking:  # the depth image, not the blurred patch, determines the other directions
             way = motion_between(predicted.T_B_O, T, contact.center)
             way = np.linalg.solve(directed.motions, way) * directed.determined
             T = moved(predicted.T_B_O, directed.motions @ way, contact.center)
-        change = self._estimator.observer.pixel_residuals(frame.steady_depth_m)
+        change = self._observer.pixel_residuals(frame.steady_depth_m)
         valid_m = _VALID_M if tracking else _CONVERGED_M
         self._image.load(contact, frame.gas_pressure_pa)
         for k in range(_NEXT_STEPS if tracking else _FIRST_STEPS):
