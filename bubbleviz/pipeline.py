@@ -281,7 +281,7 @@ class Pipeline:
         if obj is None:
             self.tracker = None
             return
-        from bubbleviz.pose import PoseTracker  # open3d takes long to load
+        from bubbleviz.pose import PoseTracker  # only needed here
 
         self.tracker = PoseTracker(
             self.estimator, obj, initial_pose, membrane=self.model.rubber, thorough=thorough

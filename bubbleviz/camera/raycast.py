@@ -1,8 +1,9 @@
 """Intersections of camera rays with the membrane, in the reference or a deformed configuration.
 
 If no part of the membrane hides another from the camera, rays walk over the mesh: from the triangle
-of a neighbouring ray to their own. Only membranes that occlude themselves need ray casting by
-Open3D, which takes a fifth of a second to load.
+of a neighbouring ray to their own; around a concave rim, a few are compared with every triangle.
+Others, such as those of membranes that occlude themselves, are cast by Open3D, which takes a fifth
+of a second to load.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _LONG_WALK = 64  # the same where it is not cast again: more than there are acro
 
 _AT_ONCE = 2**15  # rays, so that what is gathered for them fits the processor's cache
 
-_MAX_SEARCHED = 500  # rays compared with every triangle: Open3D takes as long to load as for 5,000
+_MAX_SEARCHED = 500  # rays compared with every triangle; 5,000 would take as long as Open3D to load
 
 _COARSER = 8  # a walk starts from the triangle of every 8th ray, found first
 

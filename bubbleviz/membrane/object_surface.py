@@ -179,7 +179,7 @@ class ObjectSurface:
         """Rotation (4, 4) in O near a turn (3, 3) that maps the object onto itself; None: none is.
 
         Points of the turned surface are registered to the surface, by rotation about its centroid,
-        which every symmetry keeps. What a round object's surface does not show stays as it is.
+        which every symmetry keeps. A spin that the surface of a round object does not show stays.
         """
         count, steps = _TURNED
         middle = self.facet_areas @ self._corners.mean(axis=1) / self.facet_areas.sum()

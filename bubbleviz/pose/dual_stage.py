@@ -209,9 +209,7 @@ TURNS = (
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
-_ALIKE = (
-    0.02  # distance over an object's size up to which its turned surface looks the same; chosen
-)
+_ALIKE = 0.02  # distance over an object's size within which it looks the same; chosen
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _CLIPPED_M = 5e-3  # larger distances are clipped
 
