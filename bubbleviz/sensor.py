@@ -31,7 +31,7 @@ from bubbleviz.files import (
     transform,
     whole_file,
 )
-from bubbleviz.wording import by
+from bubbleviz.wording import size_text
 
 Metres = Annotated[float, Field(gt=1e-4, lt=1.0, allow_inf_nan=False)]
 """A length of the sensor: values outside 0.1 mm … 1 m are in a wrong unit."""
@@ -407,6 +407,6 @@ def size_refusal(
 ) -> InputError:
     """The error to raise about something found to be for another image size than the camera's."""
     return InputError(
-        f"{found} {by(size)} pixels but the camera of sensor {sensor_name} has {by(own)}; "
-        "choose the sensor file of this camera"
+        f"{found} {size_text(size)} pixels but the camera of sensor {sensor_name} has "
+        f"{size_text(own)}; choose the sensor file of this camera"
     )

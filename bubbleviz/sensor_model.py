@@ -30,7 +30,7 @@ from bubbleviz.membrane import (
 )
 from bubbleviz.result import Estimate
 from bubbleviz.sensor import Sensor, contradiction, size_refusal
-from bubbleviz.wording import by
+from bubbleviz.wording import size_text
 
 _NODE_PIXELS = 10_000  # for the residuals of the nodes: some ten for each
 _TENSION_OFF = 0.1
@@ -78,7 +78,7 @@ class SensorModel:
     def __repr__(self) -> str:
         lens = self.camera.intrinsics
         nodes = len(self.mesh.nodes)
-        return f"<{self.sensor.name}: {nodes} nodes, {by(lens.size)} pixels>"
+        return f"<{self.sensor.name}: {nodes} nodes, {size_text(lens.size)} pixels>"
 
     @cached_property
     def tension_n_per_m(self) -> float:

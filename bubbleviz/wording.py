@@ -54,10 +54,10 @@ def reason_of(error: BaseException, most: int | None = None) -> str:
 
 def width_by_height(shape: Sequence[int]) -> str:
     """`640×480` for the shape (480, 640, …) of an image."""
-    return by(shape[1::-1])
+    return size_text(shape[1::-1])
 
 
-def by(size: Sequence[int]) -> str:
+def size_text(size: Sequence[int]) -> str:
     """`640×480` for a width and a height."""
     return f"{size[0]}×{size[1]}"
 

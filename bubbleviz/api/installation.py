@@ -18,7 +18,7 @@ from bubbleviz.api.summary import Summary
 from bubbleviz.files import preset_names, presets_folder
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
-from bubbleviz.wording import by, how_to_install
+from bubbleviz.wording import how_to_install, size_text
 
 _OPENGL = "import pyvista; print(pyvista.GPUInfo().renderer, pyvista.GPUInfo().version)"
 _CAMERAS = """
@@ -63,7 +63,7 @@ def presets() -> Listing:
     for name in preset_names("sensors"):
         own = load_sensor(name)
         shape = own.membrane.shape.replace("_", " ")
-        sensors[name] = f"{own.name}, {shape}, camera of {by(own.camera.size)} pixels"
+        sensors[name] = f"{own.name}, {shape}, camera of {size_text(own.camera.size)} pixels"
     for path in sorted(presets_folder("objects").glob("*.ply")):
         sides = 1e3 * np.ptp(load_object(path.stem).vertices, axis=0)
         objects[path.stem] = f"{' × '.join(f'{side:.0f}' for side in sides)} mm"

@@ -117,11 +117,11 @@ class RayCaster:
         """Triangle that each ray (or each of some) meets first, (k,); −1 where it meets none."""
         local = nodes - self.origin
         faces, some = faces_from(local, self.triangles), slice(None) if rays is None else rays
-        ray, walked = self._single[some], None
+        ray = self._single[some]
         if self._is_facing(local, faces, some):
             walked = self._walked_first(local, faces, ray, near)
-        if walked is not None:
-            return walked
+            if walked is not None:
+                return walked
         # nodes are moved by −origin before single precision sees them: all rays start at zero
         found = TriangleScene(local, self._indices).cast(np.hstack([np.zeros_like(ray), ray]))
         return np.where(np.isfinite(found.distance), found.triangle, -1)
@@ -129,7 +129,7 @@ class RayCaster:
     def _walked_first(
         self, local: np.ndarray, faces: np.ndarray, ray: np.ndarray, near: np.ndarray | None
     ) -> np.ndarray | None:
-        """As `first`, for triangles that all face the origin; None where walking does not do."""
+        """As `first`, for triangles that all face the origin; None: the rays have to be cast."""
         single, convex = faces.astype(np.float32), self._has_convex_rim(local, faces)
         if near is None and not convex:
             return None
@@ -138,7 +138,7 @@ class RayCaster:
         else:
             there, arrived = self._walked(single, ray, np.maximum(near, 0), len(faces))
         stopped = np.flatnonzero(~arrived)
-        if not convex and len(stopped):  # by the rim, beyond which they may meet the mesh
+        if not convex and len(stopped):  # at the rim, beyond which they may meet the mesh
             if len(stopped) > _MAX_SEARCHED:
                 return None
             there[stopped], arrived[stopped] = _searched(single, ray[stopped])
@@ -276,7 +276,7 @@ class RayCaster:
 
 
 def _searched(faces: np.ndarray, ray: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangle (j,) that each of some rays (j, 3) meets, of all, and whether it meets one."""
+    """Triangle (j,) that each of rays (j, 3) meets, and whether it meets one; tries all of them."""
     there, arrived = np.zeros(len(ray), int), np.zeros(len(ray), bool)
     for some in _slices(len(ray), _AT_ONCE // len(faces) + 1):
         volumes = np.einsum("tkj,rj->krt", faces, ray[some])

@@ -71,7 +71,7 @@ MOST_TURN_RAD = 0.6
 """Largest turn of the object's normal along a triangle that approximates a smooth surface."""
 
 _ON_EDGE = 1e-5  # barycentric coordinate below which the closest point is on the edge of a facet
-_TURNED = 200, 6  # points of a turned object, and steps of their registration to it; chosen
+_TURNED_POINTS, _TURNED_STEPS = 200, 6  # of a turned object that is registered to itself; chosen
 _SPIN = 0.1
 """Singular value over the largest, below which a rotation moves only the facets of a round object,
 not its surface: their normals are up to 5° off if 36 go round. Of study objects, the round ones are
@@ -181,20 +181,17 @@ class ObjectSurface:
         Points of the turned surface are registered to the surface, by rotation about its centroid,
         which every symmetry keeps. A spin that the surface of a round object does not show stays.
         """
-        count, steps = _TURNED
         middle = self.facet_areas @ self._corners.mean(axis=1) / self.facet_areas.sum()
-        arms, R = self.sample(count)[0] - middle, Rotation.from_matrix(turn)
-        for _ in range(steps):
+        arms, R = self.sample(_TURNED_POINTS)[0] - middle, Rotation.from_matrix(turn)
+        for _ in range(_TURNED_STEPS):
             turned = R.apply(arms)
             place, normal = self.closest(turned + middle)
             along = np.einsum("ij,ij->i", place - middle - turned, normal)
             step = np.linalg.lstsq(np.cross(turned, normal), along, rcond=_SPIN)[0]
             R = Rotation.from_rotvec(step) * R
         turned = R.apply(arms) + middle
-        if (
-            np.linalg.norm(turned - self.closest(turned).place, axis=1).max()
-            > tolerance * self.size_m
-        ):
+        apart_m = np.linalg.norm(turned - self.closest(turned).place, axis=1)
+        if apart_m.max() > tolerance * self.size_m:
             return None
         found = np.eye(4)
         found[:3, :3], found[:3, 3] = R.as_matrix(), middle - R.apply(middle)

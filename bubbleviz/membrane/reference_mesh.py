@@ -85,7 +85,7 @@ def build_rubber(
     Its stiffness is μh = γ0 / (1 − λ⁻⁶) on average, its stress at rest balances the gauge
     pressure. A sensor without pre-stretch has constant tension.
     """
-    stress, _ = _rest_stress(sensor, mesh, _unequal_stress(sensor))
+    stress, _ = _rest_stress(sensor, mesh, _stress_parameters(sensor))
     return _rubber(sensor, mesh, tension_n_per_m, rim_slack_m, stress)
 
 
@@ -111,7 +111,7 @@ def rubber_and_variants(
         )
         for name, limits in RUBBER_PARAMETERS.items()
     }
-    names = _unequal_stress(sensor) | {name for name in _OF_STRESS if sigmas[name]}
+    names = _stress_parameters(sensor) | {name for name in _OF_STRESS if sigmas[name]}
     stress, changes = _rest_stress(sensor, mesh, names)
 
     def rubber(
@@ -156,8 +156,8 @@ def _rubber(
     return prestressed(mesh, gauge, mu_h, stress, rim_slack_m)
 
 
-def _unequal_stress(sensor: Sensor) -> set[str]:
-    """Parameters of the stress at rest that are not 0."""
+def _stress_parameters(sensor: Sensor) -> set[str]:
+    """Names of the parameters of the stress at rest that are not 0."""
     return {name for name in _OF_STRESS if getattr(sensor.membrane, name)}
 
 

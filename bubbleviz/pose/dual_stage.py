@@ -135,23 +135,22 @@ class Solver:
             for motion in motions
         ]
         coarse.sort(key=lambda fit: fit.cost)
-        held = known is not None and coarse[0].cost > known.fit.cost - _AS_LIKELY
-        least = known.fit.cost if known is not None and held else coarse[0].cost
-        limit = least + _AS_LIKELY
-        likely = [fit for fit in coarse if fit.cost < limit and fit.fitness >= FOUND_FITNESS]
+        least, refined_most = coarse[0].cost, _FINALISTS
+        if known is not None and least > known.fit.cost - _AS_LIKELY:
+            least, refined_most = known.fit.cost, 0  # none of them refutes it
+        likely = [
+            fit for fit in coarse if fit.cost < least + _AS_LIKELY and fit.fitness >= FOUND_FITNESS
+        ]
         if known is None and not likely:
             likely = coarse[:1]
-        rest = looking_different(model, [fit.T_B_O for fit in likely])
-        found = []
-        if not held:
-            motions = [Motion.at_rest(T, SEARCH_DEVIATION, center) for T in rest[:_FINALISTS]]
-            found = [self.solve(frame, contact, each, tracking=False) for each in motions]
-        rest = rest[len(found) :]
-        good = [one for one in found if one.fit.fitness >= FOUND_FITNESS]
+        candidates = looking_different(model, [fit.T_B_O for fit in likely])
+        motions = [Motion.at_rest(T, SEARCH_DEVIATION, center) for T in candidates[:refined_most]]
+        refined = [self.solve(frame, contact, each, tracking=False) for each in motions]
+        good = [one for one in refined if one.fit.fitness >= FOUND_FITNESS]
         good += [] if known is None else [known]
-        good = sorted(good or found, key=lambda one: one.fit.cost)
-        likely = [one.fit for one in good if one.fit.cost < good[0].fit.cost + _AS_LIKELY]
-        others = looking_different(model, [*(fit.T_B_O for fit in likely), *rest])[1:]
+        good = sorted(good or refined, key=lambda one: one.fit.cost)
+        fitting = [one.fit.T_B_O for one in good if one.fit.cost < good[0].fit.cost + _AS_LIKELY]
+        others = looking_different(model, [*fitting, *candidates[refined_most:]])[1:]
         return good[0]._replace(pose=replace(good[0].pose, others=others))
 
     def _image_fit(

@@ -58,16 +58,17 @@ class ImageFolder:
         self,
         folder: str | Path,
         *,
-        # as of `_read_intrinsics`; None: that of the folder, else the sensor file's are used
+        # TOML or JSON with the keys of a sensor file's camera, or a preset; None: the file of the
+        # folder, else those of the sensor file are used
         intrinsics: str | Path | None = None,
-        # CSV of a time for each image, s, on the clock of the other measurements; None: that of the
-        # folder
+        # CSV of a time for each image, s, on the clock of the other measurements; None: the file of
+        # the folder
         times: str | Path | None = None,
         # instead of times; without either, file names are time stamps in s or ns
         rate_hz: float | None = None,
         # of the pixels' values: 0.001 for whole numbers, 1 for others where it is not given
         metres_per_unit: float | None = None,
-        gas_pressure: str | Path | None = None,  # CSV, as of `_gas_pressure`
+        gas_pressure: str | Path | None = None,  # CSV of time and absolute pressure in Pa
         wrench: str | Path | None = None,  # CSV of time, three forces in N, three torques in N·m
     ) -> None:
         self.path = Path(folder)

@@ -54,7 +54,7 @@ from bubbleviz.recordings.time_series import (
     recorded_series,
     values_at,
 )
-from bubbleviz.wording import by, width_by_height
+from bubbleviz.wording import size_text, width_by_height
 
 _PIXEL_BYTES = {name: kind.itemsize for name, kind in DEPTH_ENCODINGS.items()}
 SAMPLED_ABOVE = 4096  # images; chosen: opening then takes as long as for that many
@@ -123,7 +123,7 @@ class Recording:
             if depth.shape != self.size[::-1]:
                 raise ValueError(
                     f"its image has {width_by_height(depth.shape)} pixels, the first image "
-                    f"{by(self.size)}"
+                    f"{size_text(self.size)}"
                 )
             return Frame(
                 index=index,
@@ -257,7 +257,7 @@ class Recording:
         self.size = self._size_of(first, info_topic)  # width and height of the depth images, pixels
         if 4 * math.prod(self.size) > MAX_SIZE:
             raise InputError(
-                f"{self.path}: images of {by(self.size)} pixels (the first one) are "
+                f"{self.path}: images of {size_text(self.size)} pixels (the first one) are "
                 "not plausible; copy or record again"
             )
         # encoding of the depth images; `points` where they are point clouds

@@ -14,7 +14,7 @@ from bubbleviz.recordings.frame import FrameSource, shown_name
 from bubbleviz.recordings.message_decoding import COMPRESSED
 from bubbleviz.recordings.recording import Recording, open_recording
 from bubbleviz.sensor import Sensor, load_sensor, size_refusal
-from bubbleviz.wording import by
+from bubbleviz.wording import size_text
 
 WEATHER_PA = 5e3
 """Variation of the atmospheric pressure at one place, Pa: the extremes are ±5 kPa."""
@@ -97,11 +97,11 @@ def preset_of_size(
     fitting = [name for name in names if sizes[name] == size]
     if len(fitting) == 1:
         return fitting[0]
-    known = ", ".join(f"{name} ({by(sizes[name])})" for name in fitting or names)
+    known = ", ".join(f"{name} ({size_text(sizes[name])})" for name in fitting or names)
     have = "several presets have" if fitting else "no preset has"
     choice = "one of them or the" if fitting else "the"
     raise UnknownCameraError(
-        f"{images}: {have} a camera of {by(size)} pixels (presets: {known}); "
+        f"{images}: {have} a camera of {size_text(size)} pixels (presets: {known}); "
         f"choose {choice} sensor file of this camera (--sensor)",
         size,
     )
@@ -126,8 +126,9 @@ def _check_camera_info(recording: Recording) -> None:
         size = (int(message.width), int(message.height))
         if size != recording.size:
             raise InputError(
-                f"{recording.path}: camera info on {topic.name} is for {by(size)} pixels but the "
-                f"images are {by(recording.size)}; record both from one camera, neither cropped "
+                f"{recording.path}: camera info on {topic.name} is for {size_text(size)} pixels "
+                f"but the images are {size_text(recording.size)}; record both from one camera, "
+                "neither cropped "
                 "nor scaled"
             )
 

@@ -378,8 +378,7 @@ class PanelWindow(QMainWindow):
         self.compare.measured.connect(self.scene.compare)
         self.compare.other.aligned.connect(self.plots.show_other)
         self.compare.other.membrane.connect(self.second_membrane.take)
-        changed = self.state.settings_changed  # as each panel that is opened or closed changes them
-        self.undo_recorder.watch("open panels", changed, lambda: self.open_panels, self.show_only)
+        self.undo_recorder.watch("open panels", None, lambda: self.open_panels, self.show_only)
         for text, box in self.calibration.boxes.items():
             self.undo_recorder.watch_box(text, box)
         self.playback.timeline.range_dragged.connect(self._play_range)

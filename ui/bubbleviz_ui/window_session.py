@@ -95,7 +95,7 @@ class WindowSession:
         elif not restored:
             self._open(startup)
         frame = startup.frame
-        if frame is not None and frame != state.frame:
+        if frame is not None and not state.facts.is_empty and frame != state.frame:
             raise InputError(
                 f"{startup.recording or 'synthetic press'}: has no frame {frame}; "
                 f"choose 0 to {state.facts.frames - 1}"

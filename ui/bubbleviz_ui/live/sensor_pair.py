@@ -292,9 +292,14 @@ class SensorPair(QObject):
         self._show()
 
     def _show(self) -> None:
-        """Draw the second sensor with the next picture of the selected one, in a single render."""
+        """Draw the second sensor with the next picture of the selected one, in a single render.
+
+        Not before the selected one is open, as the colour bars are of the previous source.
+        """
         second, drawing = self.second, self.drawing
-        if second is None or drawing is None or second.opened is None:
+        if second is None or drawing is None:
+            return
+        if second.opened is None or self._state.facts.is_empty:
             return
         drawing.show(second.result, self._state.settings, second.history)
         if self._selected_silent:

@@ -79,7 +79,8 @@ class UndoRecorder:
     def watch(
         self,
         text: str,  # Name in the Edit menu
-        changed: SignalInstance,  # Emitted when it may have changed
+        # Emitted when it may have changed; None: the settings change with it
+        changed: SignalInstance | None,
         value: Callable[[], Any],
         apply: Callable[[Any], None],  # Sets a value
         *,
@@ -87,7 +88,8 @@ class UndoRecorder:
     ) -> None:
         """Record changes of a value on the stack."""
         self._parts.append(_Watched(text, value, apply, continuous, value()))
-        changed.connect(self._on_changed)
+        if changed is not None:
+            changed.connect(self._on_changed)
 
     def _on_changed(self, *_: object) -> None:
         self._record()
