@@ -63,6 +63,7 @@ from bubbleviz_ui.shell.dock import (
     TabsForRoom,
     column,
     fill,
+    in_front,
     resize_on_screen,
     scrolled,
 )
@@ -292,12 +293,12 @@ class PanelWindow(QMainWindow):
         shown = column(self, SIDES["right"])
         if not shown or (QApplication.mouseButtons() and not dragged):  # while it is dragged
             return
-        width, least = shown[0].width(), max(dock.minimumSizeHint().width() for dock in shown)
+        front, least = in_front(shown), max(dock.minimumSizeHint().width() for dock in shown)
         kept = max(least, self._side_width)
-        if dragged and width != kept:
-            self._side_width = width
-        elif width > kept:
-            self.resizeDocks(shown[:1], [kept], Qt.Orientation.Horizontal)
+        if dragged and front.width() != kept:
+            self._side_width = front.width()
+        elif front.width() > kept:
+            self.resizeDocks([front], [kept], Qt.Orientation.Horizontal)
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
         """Accept files."""

@@ -138,6 +138,11 @@ def column(window: QMainWindow, side: Qt.DockWidgetArea) -> list[Dock]:
     return [dock for dock in at_side if not (dock.isHidden() or dock.isFloating())]
 
 
+def in_front(docks: Sequence[Dock]) -> Dock:
+    """The first of some docks that is not behind a tab, where it keeps its former size."""
+    return next((dock for dock in docks if not dock.visibleRegion().isEmpty()), docks[0])
+
+
 class TabsForRoom:
     """Makes tabs of all docks of a side of the window; they come apart when there is room again."""
 
@@ -171,7 +176,7 @@ class TabsForRoom:
         needed = dict[Dock, int]()
         for dock in shown:
             needed[dock.home] = max(needed.get(dock.home, 0), dock.needed)
-        front = next((dock for dock in shown if not dock.visibleRegion().isEmpty()), shown[0])
+        front = in_front(shown)
         if len(needed) > 1 and sum(needed.values()) <= front.height() + more:
             self.made.remove(side)
             for dock in self._at(side):
