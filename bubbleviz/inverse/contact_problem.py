@@ -355,7 +355,8 @@ class ContactProblem:
         other._prior = replace(self._prior, threshold=threshold)
         other._position, other._place = self._position.copy(), self._place.copy()
         other.__dict__.pop("_gradient_at_zero", None)
-        other._restrict_to(self._nodes)
+        if len(self._nodes):
+            other._restrict_to(self._nodes)
         return other
 
     def zero_is_optimal(self) -> bool:

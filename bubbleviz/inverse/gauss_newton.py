@@ -513,7 +513,7 @@ class GaussNewton:
             continued = self._continued(selection.support, observed)
             selection = replace(selection, support=continued)
         contact = problem.solve_debiased(selection, touches)
-        if near:
+        if near and contact.pressure.any():
             significant = significant_contact(self.mesh, contact)
             if not np.array_equal(significant, contact.pressure > 0.0):
                 contact = problem.solve_debiased(replace(selection, support=significant), touches)

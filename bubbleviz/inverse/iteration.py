@@ -382,12 +382,13 @@ class Iteration:
 
     def _result(self, step: Step, observed: LinearisedFrame) -> SolvedFrame | Status:
         newton, pressure, noise = self._newton, step.contact.pressure, step.hyperparameters.noise
-        touching, unknown = pressure.any(), np.count_nonzero(pressure[observed.seen])
-        if touching and newton.contact_blocks(observed, pressure) < max(int(unknown), 1):
-            return "no_data"
-        if touching and observed.fits_rest_better(step.residual_m + step.image_error_m):
-            return "implausible"  # contact does not improve the fit
-        if not touching and noise.ranges > IMPLAUSIBLE_MISFIT:
+        if pressure.any():
+            unknown = np.count_nonzero(pressure[observed.seen])
+            if newton.contact_blocks(observed, pressure) < max(int(unknown), 1):
+                return "no_data"
+            if observed.fits_rest_better(step.residual_m + step.image_error_m):
+                return "implausible"  # contact does not improve the fit
+        elif noise.ranges > IMPLAUSIBLE_MISFIT:
             return "implausible"  # nor does the membrane at rest fit
         view, observer, mesh = observed.view, newton.observer, newton.mesh
         by_flow = contacts_seen_by_flow(pressure, mesh.rings, observed.seen_by_flow)
@@ -398,7 +399,7 @@ class Iteration:
             observer.misfit(observed.observation, view.block, step.residual_m, noise.ranges),
             newton.contradicts(step.state.gas, self._data.gas_pa),
             wrench_covariance(step, newton.friction, by_flow),
-            _seen_share(observed.seen, mesh.areas * (pressure > 0.0)),
+            _seen_share(observed, mesh.areas * (pressure > 0.0)),
             _flow_fit(step, observed.flow, noise) if by_flow.any() else None,
             self._image_errors(step, observed),
             self._solve_ms,
@@ -450,9 +451,9 @@ def _reject_image(newton: GaussNewton, observed: LinearisedFrame, state: State) 
     return None
 
 
-def _seen_share(seen: np.ndarray, area: np.ndarray) -> float:
+def _seen_share(observed: LinearisedFrame, area: np.ndarray) -> float:
     """Share of an area of nodes (n,) whose facets are seen."""
-    return 1.0 - float(area @ ~seen / area.sum()) if area.any() else np.nan
+    return 1.0 - float(area @ ~observed.seen / area.sum()) if area.any() else np.nan
 
 
 def _flow_fit(step: Step, flow: FlowResidual | None, noise: Noise) -> FlowFit:
