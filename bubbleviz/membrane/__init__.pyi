@@ -23,6 +23,7 @@ from .mesh import (
     adjacency as adjacency,
     area_vectors as area_vectors,
     connected_parts as connected_parts,
+    cotangent_laplacian as cotangent_laplacian,
     cross as cross,
     dense_part as dense_part,
     faces_from as faces_from,
@@ -50,7 +51,6 @@ from .object_surface import (
 from .prestress import (
     STRESS_DEGREE as STRESS_DEGREE,
     Prestress as Prestress,
-    disc_map as disc_map,
     prestressed as prestressed,
     zernike as zernike,
 )
@@ -81,7 +81,6 @@ from .sparse_factor import (
 from .stiffness import (
     balance_gradient as balance_gradient,
     balance_tension as balance_tension,
-    cotangent_laplacian as cotangent_laplacian,
     local_tension as local_tension,
     mean_curvature as mean_curvature,
 )

@@ -11,10 +11,9 @@ from scipy import sparse
 
 from bubbleviz.errors import InputError
 from bubbleviz.membrane.gas import Gas
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, cotangent_laplacian
 from bubbleviz.membrane.object_surface import ObjectSurface
 from bubbleviz.membrane.sparse_factor import symmetric_lu
-from bubbleviz.membrane.stiffness import cotangent_laplacian
 from bubbleviz.membrane.triangle_scene import TriangleScene
 from bubbleviz.rigid_object import RigidObject
 

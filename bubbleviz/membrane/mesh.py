@@ -7,7 +7,9 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.linalg import splu
 
+from bubbleviz.errors import InputError
 from bubbleviz.membrane.assembly import Assembly
 
 
@@ -104,6 +106,34 @@ class MembraneMesh:
         count = len(self.nodes)
         return np.bincount(start, half, minlength=count) + np.bincount(end, half, minlength=count)
 
+    @cached_property
+    def disc(self) -> np.ndarray:
+        """Harmonic map of the nodes to the unit disc, (n, 2).
+
+        The rim goes to the circle by its length, with azimuths kept in the mean, so that all meshes
+        of a surface have nearly the same map.
+
+        Raises InputError: triangles are turned over, which badly shaped ones cause.
+        """
+        loop = _rim_loop(self)
+        rim = self.nodes[loop]
+        sides = np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1)
+        angle = 2.0 * np.pi * (np.cumsum(sides) - sides) / sides.sum()
+        azimuth = np.arctan2(rim[:, 1], rim[:, 0])
+        angle += np.angle(np.sum((sides + np.roll(sides, 1)) * np.exp(1j * (azimuth - angle))))
+        disc = np.empty((len(self.nodes), 2))
+        disc[loop] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        inner = np.setdiff1d(np.arange(len(self.nodes)), loop)
+        rows = cotangent_laplacian(self)[inner]
+        disc[inner] = splu(rows[:, inner].tocsc()).solve(-(rows[:, loop] @ disc[loop]))
+        edges = disc[self.triangles[:, 1:]] - disc[self.triangles[:, :1]]
+        if not (np.linalg.det(edges) > 0.0).all():
+            raise InputError(
+                "membrane mesh: triangles are too distorted to map the mesh to a disc; remesh it "
+                "evenly, or identify the sensor again"
+            )
+        return disc
+
     @property
     def edge_length(self) -> float:
         """Edge in m of the equilateral triangle of mean area: the resolution of the mesh."""
@@ -142,6 +172,34 @@ def open_sides(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Start and end (k,) of each side that only one of triangles (m, 3) has, in its direction."""
     triangle, corner = np.nonzero(triangles_across(triangles) < 0)
     return triangles[triangle, (corner + 1) % 3], triangles[triangle, (corner + 2) % 3]
+
+
+def _rim_loop(mesh: MembraneMesh) -> np.ndarray:
+    """Nodes of the open boundary in their order, counter-clockwise seen from outside."""
+    starts, ends = open_sides(mesh.triangles)
+    after = np.full(len(mesh.nodes), -1)
+    after[starts] = ends
+    loop = [int(starts[0])]
+    while after[loop[-1]] != loop[0]:
+        loop.append(int(after[loop[-1]]))
+    return np.array(loop)
+
+
+def cotangent_laplacian(mesh: MembraneMesh) -> sparse.csr_array:
+    """P1 stiffness matrix L of −∇² on the mesh, n×n, symmetric, dimensionless.
+
+    The stiffness of the membrane is K = γ0 L. It is positive definite only on the free nodes:
+    eliminate the rim's rows and columns before factorising.
+    """
+    i, j, k = mesh.triangles.T
+    cotangents = 0.5 / np.tan(mesh.angles)
+    rows = np.concatenate([j, k, i])  # the edge opposite each corner
+    cols = np.concatenate([k, i, j])
+    weights = cotangents.T.ravel()
+    n = len(mesh.nodes)
+    half = sparse.csr_array((weights, (rows, cols)), shape=(n, n))
+    off = half + half.T
+    return (sparse.diags_array(off.sum(axis=1)) - off).tocsr()
 
 
 def sums_at(nodes: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -16,54 +16,14 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse.linalg import splu
 from scipy.special import eval_jacobi
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh, open_sides
+from bubbleviz.membrane.mesh import MembraneMesh
 from bubbleviz.membrane.rubber import FAR_STRETCHED, FROM_EDGES, RubberMembrane, edges_of
-from bubbleviz.membrane.stiffness import cotangent_laplacian, mean_curvature
+from bubbleviz.membrane.stiffness import mean_curvature
 
-# The harmonic map of a membrane to the unit disc, and orthogonal polynomials there.
-
-
-def disc_map(mesh: MembraneMesh) -> np.ndarray:
-    """Harmonic map of the nodes to the unit disc, (n, 2).
-
-    The rim goes to the circle by its length, with azimuths kept in the mean, so that all meshes of
-    a surface have nearly the same map.
-
-    Raises InputError: triangles are turned over, which badly shaped ones cause.
-    """
-    loop = _rim_loop(mesh)
-    rim = mesh.nodes[loop]
-    sides = np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1)
-    angle = 2.0 * np.pi * (np.cumsum(sides) - sides) / sides.sum()
-    azimuth = np.arctan2(rim[:, 1], rim[:, 0])
-    angle += np.angle(np.sum((sides + np.roll(sides, 1)) * np.exp(1j * (azimuth - angle))))
-    disc = np.empty((len(mesh.nodes), 2))
-    disc[loop] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    inner = np.setdiff1d(np.arange(len(mesh.nodes)), loop)
-    rows = cotangent_laplacian(mesh)[inner]
-    disc[inner] = splu(rows[:, inner].tocsc()).solve(-(rows[:, loop] @ disc[loop]))
-    edges = disc[mesh.triangles[:, 1:]] - disc[mesh.triangles[:, :1]]
-    if not (np.linalg.det(edges) > 0.0).all():
-        raise InputError(
-            "membrane mesh: triangles are too distorted to map the mesh to a disc; remesh it "
-            "evenly, or identify the sensor again"
-        )
-    return disc
-
-
-def _rim_loop(mesh: MembraneMesh) -> np.ndarray:
-    """Nodes of the open boundary in their order, counter-clockwise seen from outside."""
-    starts, ends = open_sides(mesh.triangles)
-    after = np.full(len(mesh.nodes), -1)
-    after[starts] = ends
-    loop = [int(starts[0])]
-    while after[loop[-1]] != loop[0]:
-        loop.append(int(after[loop[-1]]))
-    return np.array(loop)
+# Orthogonal polynomials on the unit disc, to which `MembraneMesh.disc` maps a membrane.
 
 
 def zernike(at: np.ndarray, degree: int) -> np.ndarray:
@@ -117,32 +77,7 @@ class Prestress:
         Raises InputError: the surface is flat or concave, so that no tension holds a pressure, or
         the mesh has fewer nodes than the field has unknowns.
         """
-        curvature = mean_curvature(mesh)
-        if not curvature > 0.0:
-            raise InputError(
-                "reference surface: flat or concave, so no tension can balance the gauge pressure; "
-                "identify the inflated sensor, or correct the surface in the sensor file"
-            )
-        disc = disc_map(mesh)
-        unit, polynomials = _fields(mesh, disc), _polynomials(mesh, disc, degree)
-        moved = _virtual_displacements(mesh, disc, degree)[mesh.triangles]  # (m, 3, q)
-        load = curvature * np.einsum("tx,tcq->xq", mesh.facet_vectors / 3.0, moved)
-        pull = mesh.facet_areas[:, None, None] * (FROM_EDGES.T @ unit @ edges_of(mesh))
-        work = np.stack(
-            [
-                np.einsum("tcx,tcq->txq", each, moved).reshape(len(each), -1).T @ polynomials
-                for each in pull
-            ],
-            axis=1,
-        ).reshape(load.size, -1)
-        tension = gauge_pressure_pa / curvature
-        start = np.eye(1, work.shape[1])[0]  # S = γ I
-        if near is not None:
-            start = near.weights.ravel() / tension
-        scale = curvature * mesh.facet_areas.sum()
-        work, missed = work / scale, (load.ravel() - work @ start) / scale
-        z = np.linalg.solve(work.T @ work + _RIDGE * np.eye(work.shape[1]), work.T @ missed)
-        return cls(tension * (start + z).reshape(3, -1))
+        return _Balance.of(mesh, degree).field(gauge_pressure_pa, near)
 
     @classmethod
     def fitted(
@@ -151,14 +86,14 @@ class Prestress:
         stress: np.ndarray,  # (m, 3, 3), Cauchy stress times thickness, N/m
     ) -> Prestress:
         """Field with the least mean square difference from a stress on a surface."""
-        disc, edges = disc_map(mesh), edges_of(mesh)
+        edges = edges_of(mesh)
         across = np.linalg.solve(edges @ edges.swapaxes(1, 2), edges)
         tau = across @ stress @ across.swapaxes(1, 2)
         rows, columns = [0, 0, 1], [0, 1, 1]  # of what differs in a symmetric matrix
-        fields = _fields(mesh, disc)[:, :, rows, columns].transpose(1, 2, 0)
+        fields = _fields(mesh)[:, :, rows, columns].transpose(1, 2, 0)
         parts = np.linalg.solve(fields, tau[:, rows, columns, None])[..., 0]  # (m, 3)
         weight = np.sqrt(mesh.facet_areas)[:, None]
-        polynomials = _polynomials(mesh, disc, STRESS_DEGREE)
+        polynomials = _polynomials(mesh, STRESS_DEGREE)
         return cls(np.linalg.lstsq(weight * polynomials, weight * parts, rcond=None)[0].T)
 
     def unequal(self, mesh: MembraneMesh, gauge_pressure_pa: float) -> dict[str, Prestress]:
@@ -168,12 +103,12 @@ class Prestress:
         tension, and only the rim holds them: a sheet stretched unequally over its rim has them.
         By the names of their amplitudes in the sensor file.
         """
-        fields, tension = {}, gauge_pressure_pa / mean_curvature(mesh)
+        balance, fields = _Balance.of(mesh, STRESS_DEGREE), {}
+        tension = gauge_pressure_pa / balance.curvature
         for part, name in enumerate(("unequal_tension_x", "unequal_tension_xy"), start=1):
             near = Prestress(self.weights.copy())
             near.weights[part, 0] += tension
-            balanced = Prestress.of(mesh, gauge_pressure_pa, near=near)
-            fields[name] = balanced.minus(self)
+            fields[name] = balance.field(gauge_pressure_pa, near).minus(self)
         return fields
 
     def mean_tension(self, mesh: MembraneMesh) -> float:
@@ -200,11 +135,52 @@ class Prestress:
 
         τ with T = E τ Eᵀ, by the edges E (3×2) of each triangle from its corner 0.
         """
-        disc = disc_map(mesh)
         degree = round(np.sqrt(2.0 * self.weights.shape[1] + 0.25) - 1.5)  # of (d+1)(d+2)/2
-        weights = self.weights @ _polynomials(mesh, disc, degree).T
-        tau: np.ndarray = np.einsum("kt,ktij->tij", weights, _fields(mesh, disc))
+        weights = self.weights @ _polynomials(mesh, degree).T
+        tau: np.ndarray = np.einsum("kt,ktij->tij", weights, _fields(mesh))
         return tau
+
+
+@dataclass(frozen=True)
+class _Balance:
+    """Least squares of `Prestress.of`, of which only the start depends on the field `near`."""
+
+    curvature: float  # mean, 1/m
+    scale: float  # curvature times area, m
+    work: np.ndarray  # (w, 3 p), virtual work of the weights
+    load: np.ndarray  # (w,), of the pressure, under a unit of mean tension
+
+    @classmethod
+    def of(cls, mesh: MembraneMesh, degree: int) -> _Balance:
+        curvature = mean_curvature(mesh)
+        if not curvature > 0.0:
+            raise InputError(
+                "reference surface: flat or concave, so no tension can balance the gauge pressure; "
+                "identify the inflated sensor, or correct the surface in the sensor file"
+            )
+        unit, polynomials = _fields(mesh), _polynomials(mesh, degree)
+        moved = _virtual_displacements(mesh, degree)[mesh.triangles]  # (m, 3, q)
+        load = curvature * np.einsum("tx,tcq->xq", mesh.facet_vectors / 3.0, moved)
+        pull = mesh.facet_areas[:, None, None] * (FROM_EDGES.T @ unit @ edges_of(mesh))
+        work = np.stack(
+            [
+                np.einsum("tcx,tcq->txq", each, moved).reshape(len(each), -1).T @ polynomials
+                for each in pull
+            ],
+            axis=1,
+        ).reshape(load.size, -1)
+        scale = curvature * mesh.facet_areas.sum()
+        return cls(curvature, scale, work, load.ravel())
+
+    def field(self, gauge_pressure_pa: float, near: Prestress | None) -> Prestress:
+        """The field nearest to another one, or to a uniform tension."""
+        tension = gauge_pressure_pa / self.curvature
+        start = np.eye(1, self.work.shape[1])[0]  # S = γ I
+        if near is not None:
+            start = near.weights.ravel() / tension
+        work, missed = self.work / self.scale, (self.load - self.work @ start) / self.scale
+        z = np.linalg.solve(work.T @ work + _RIDGE * np.eye(work.shape[1]), work.T @ missed)
+        return Prestress(tension * (start + z).reshape(3, -1))
 
 
 def prestressed(
@@ -248,9 +224,9 @@ def stress_free_metric(
     return stress_free
 
 
-def _fields(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
+def _fields(mesh: MembraneMesh) -> np.ndarray:
     """τ of S = I, of its difference and of its shear, (3, m, 2, 2), 1/m²."""
-    edges, on_disc = edges_of(mesh), disc[mesh.triangles]
+    edges, on_disc = edges_of(mesh), mesh.disc[mesh.triangles]
     back = np.linalg.inv((on_disc[:, 1:] - on_disc[:, :1]).swapaxes(1, 2))
     metric = back.swapaxes(1, 2) @ (edges @ edges.swapaxes(1, 2)) @ back
     # g^(−1/2) = ((tr g + s) I − g) / (s √(tr g + 2 s)) with s = √det g
@@ -261,14 +237,14 @@ def _fields(mesh: MembraneMesh, disc: np.ndarray) -> np.ndarray:
     return fields
 
 
-def _polynomials(mesh: MembraneMesh, disc: np.ndarray, degree: int) -> np.ndarray:
+def _polynomials(mesh: MembraneMesh, degree: int) -> np.ndarray:
     """Zernike polynomials in the triangles, (m, p)."""
-    return zernike(disc[mesh.triangles].mean(axis=1), degree)
+    return zernike(mesh.disc[mesh.triangles].mean(axis=1), degree)
 
 
-def _virtual_displacements(mesh: MembraneMesh, disc: np.ndarray, degree: int) -> np.ndarray:
+def _virtual_displacements(mesh: MembraneMesh, degree: int) -> np.ndarray:
     """Smooth functions that are 0 on the rim, orthonormal over the mean of the area, (n, q)."""
-    at = disc[mesh.free]
+    at = mesh.disc[mesh.free]
     weight = np.sqrt(mesh.areas[mesh.free] / mesh.areas.sum())[:, None]
     ways = zernike(at, degree) * (1.0 - np.einsum("ij,ij->i", at, at))[:, None]
     if len(ways) < ways.shape[1]:

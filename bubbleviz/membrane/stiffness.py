@@ -6,25 +6,8 @@ import numpy as np
 from scipy import sparse
 
 from bubbleviz.errors import InputError
-from bubbleviz.membrane.mesh import MembraneMesh
+from bubbleviz.membrane.mesh import MembraneMesh, cotangent_laplacian
 from bubbleviz.membrane.sparse_factor import symmetric_lu
-
-
-def cotangent_laplacian(mesh: MembraneMesh) -> sparse.csr_array:
-    """P1 stiffness matrix L of −∇² on the mesh, n×n, symmetric, dimensionless.
-
-    K = γ0 L. It is positive definite only on the free nodes: eliminate the rim's rows and
-    columns before factorising.
-    """
-    i, j, k = mesh.triangles.T
-    cotangents = 0.5 / np.tan(mesh.angles)
-    rows = np.concatenate([j, k, i])  # the edge opposite each corner
-    cols = np.concatenate([k, i, j])
-    weights = cotangents.T.ravel()
-    n = len(mesh.nodes)
-    half = sparse.csr_array((weights, (rows, cols)), shape=(n, n))
-    off = half + half.T
-    return (sparse.diags_array(off.sum(axis=1)) - off).tocsr()
 
 
 def mean_curvature(mesh: MembraneMesh) -> float:

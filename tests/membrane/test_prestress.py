@@ -17,7 +17,6 @@ from bubbleviz.membrane import (
     balance_tension,
     build_mesh,
     build_rubber,
-    disc_map,
     inverse_metric,
     mesh_cap,
     prestressed,
@@ -250,7 +249,7 @@ def test_flat_membrane_is_refused():
 def test_map_of_a_sphere_is_stereographic():
     """A conformal map, and harmonic ones of a disc to a circle are unique."""
     mesh = mesh_cap(spherical_cap(A, H), 1500)
-    disc = disc_map(mesh)
+    disc = mesh.disc
     below = H - (A**2 + H**2) / H  # the pole of the projection
     exact = mesh.nodes[:, :2] / (mesh.nodes[:, 2:] - below)
     exact /= np.linalg.norm(exact[mesh.rim], axis=1).max()
