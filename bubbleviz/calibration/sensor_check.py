@@ -269,20 +269,26 @@ class _RestComparison:
         sensor, mesh = self.model.sensor, self.model.mesh
         gauge = sensor.pneumatics.gauge_pressure_pa
         rubber, varied = rubber_and_variants(sensor, mesh, self.model.tension_n_per_m)
-        membranes = [Inflation(each) for each in (rubber, *varied)]
-        by_gas, errors, step = 0.0 * self.mean_m, 0.0 * self.mean_m[None], _STEP * gauge
+        inflation, materials = Inflation(rubber), [Inflation(each) for each in varied]
+        secants, step = [], _STEP * gauge
         for _ in range(_SECANTS):
             try:
-                by_gas, *others = (self._moved_m(each, step) / step for each in membranes)
+                by_gas = self._moved_m(inflation, step) / step
             except SolveError:  # inflated to its limit
                 break
-            errors = np.stack([each - by_gas for each in (by_gas, *others)])
+            secants.append((by_gas, step))
             weighted = by_gas / self.mean_variance_m2
             size = float(weighted @ self.mean_m / (weighted @ by_gas))
             if abs(size) < _STEP * gauge:
                 break
             step = float(np.clip(size, -_MAX_STEP * gauge, _MAX_STEP * gauge))
-        return by_gas, errors
+        for by_gas, step in reversed(secants):
+            try:
+                others = [self._moved_m(each, step) / step for each in materials]
+            except SolveError:  # a softer one has a lower limit
+                continue
+            return by_gas, np.stack([each - by_gas for each in (by_gas, *others)])
+        return 0.0 * self.mean_m, 0.0 * self.mean_m[None]
 
     def _moved_m(self, membrane: Inflation, change_pa: float) -> np.ndarray:
         """Change of the range of the blocks (B,) by that of the gas pressure, m."""
