@@ -24,7 +24,7 @@ from tests.small_press import changed
 from .identified import identify, opened, with_air
 
 G = 2500.0
-WIDTH, FRAMES, NODES = 80, 10, 500
+WIDTH, FRAMES, NODES = 80, 10, 350
 
 
 @cache
@@ -149,7 +149,7 @@ def test_stretch_that_levels_hardly_tell_from_constant_tension():
         rubber.recording(share, k, noise, FRAMES, WIDTH)
         for k, share in enumerate((1.0, 0.85, 1.15))
     )
-    found = identify(rest, with_air(rubber.sensor(WIDTH), ATMOSPHERE_PA + 300.0), nodes=NODES)
+    found = identify(rest, with_air(rubber.sensor(WIDTH), ATMOSPHERE_PA + 300.0), nodes=500)
     found = with_rubber(found, [collect(each, found.given, range(FRAMES)) for each in others])
     assert found.prestretch.low < rubber.prestretch < found.prestretch.high
     assert found.prestretch.high > 3.0
@@ -296,7 +296,7 @@ def by_levels(rubber, vented, noise_m=5e-5, width=112):
         for share in (1.0, 0.85, 1.15)
     )
     given = with_air(rubber.sensor(width), vented.value)
-    found = opened(identify(rest, given, range(FRAMES), nodes=NODES), vented)
+    found = opened(identify(rest, given, range(FRAMES), nodes=200), vented)
     return with_rubber(found, [collect(each, given, range(FRAMES)) for each in levels])
 
 

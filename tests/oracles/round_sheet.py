@@ -6,7 +6,7 @@ And any inflated sheet on other meshes.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -42,6 +42,7 @@ def round_sheet(
     return InflatedRubber("round sheet", rim, *made)
 
 
+@cache
 def _swept(axial: AxialRubber, pressure_pa: float) -> MembraneMesh:
     return swept_mesh(replace(axial, gauge_pressure_pa=pressure_pa).rest, _NODES)
 
