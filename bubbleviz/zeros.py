@@ -392,8 +392,12 @@ def _rest_of(source: FrameSource, pipeline: Pipeline) -> list[Frame]:
     """Longest run of frames without contact that was found, at least `MIN_FRAMES`, or none."""
     longest: list[Frame] = []
     starts = np.unique(np.linspace(0, len(source) - MIN_FRAMES, SEARCH_POINTS).astype(int))
-    for start in starts[starts >= 0]:
-        longest = max(longest, _rest_from(source, int(start), pipeline), key=len)
+    examined = -1
+    for start in starts[starts >= 0].tolist():
+        if start <= examined:  # in a short recording: within a run, or at the contact after it
+            continue
+        rest = _rest_from(source, start, pipeline)
+        longest, examined = max(longest, rest, key=len), start + len(rest)
         if len(longest) == ZERO_FRAMES:
             break
     return longest if len(longest) >= MIN_FRAMES else []

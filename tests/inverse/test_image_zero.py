@@ -1,6 +1,7 @@
 """Errors of the depth image that are known from frames without contact."""
 
 import re
+from collections import Counter
 from dataclasses import replace
 from functools import cache
 
@@ -160,6 +161,18 @@ def test_a_recording_and_its_frames_one_by_one_have_the_same_force():
     for frame, force_n in zip(frames, run.force_n, strict=True):
         found = estimator.update(frame).force_n
         assert found == pytest.approx(force_n, abs=0.01 * max(np.linalg.norm(force_n), 1e-9))
+
+
+def test_frames_of_a_short_recording_are_searched_for_contact_once():
+    (frames, _), read = press(0), Counter[int]()
+
+    class Read(HeldFrames):
+        def __getitem__(self, index):
+            read[index] += 1
+            return super().__getitem__(index)
+
+    zeros_of(Read(frames[REST - 6 :]), Pipeline.of(rubber_dome()))
+    assert max(read.values()) <= 3  # twice as a neighbour of others
 
 
 @pytest.mark.parametrize("options", [EstimatorOptions(image_error=0.0), EstimatorOptions("paper")])
