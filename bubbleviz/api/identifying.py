@@ -21,6 +21,7 @@ from bubbleviz.calibration import (
     as_ranges,
     output_files,
     sentence,
+    with_force,
     write_sensor,
 )
 from bubbleviz.errors import InputError, check_choice, check_given, check_number, check_type
@@ -117,6 +118,9 @@ class Identified(Summary):
             A file exists or cannot be written; then nothing is written.
         """
         out, folder = Path(out), None if report is None else Path(report)
+        if self.found.reference_force is None:
+            with OneBlasThread():
+                self.found = with_force(self.found)
         self.numbers = write_sensor(
             self.found,
             out,
@@ -256,6 +260,7 @@ def identify(
         **_known_press(source, object, pose, pressed),
         held_press=held_press,
         search=False,
+        force=False,
     )
     with OneBlasThread():
         found = Workbench(source, load_sensor(sensor)).work(settings, progress)

@@ -58,4 +58,5 @@ from .workbench import (
     Settings as Settings,
     Step as Step,
     Workbench as Workbench,
+    with_force as with_force,
 )

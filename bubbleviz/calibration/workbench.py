@@ -71,6 +71,7 @@ class Settings:
     pressed: tuple[int, int] | None = None
     held_press: bool = True  # use a press in the source for λ and gauge pressure without levels
     search: bool = True  # search contact-free frames even if `ranges` is given
+    force: bool = True  # estimate the force of a simulated press, for the verdict
 
 
 _CACHED = 2  # results of a step: the present one and the one before an undo
@@ -185,15 +186,16 @@ class Workbench:
         every = [level.result() for level in levels]
         plain = rectify(replace(found, surfaces=surfaces, gauge=gauge, vented=vented), every)
         progress("fitting the rubber", 0.5)
+        of_rubber = replace(settings, obj="", pose="", pressed=None)
         fitted = self._cached(
             "rubber",
-            replace(settings, obj="", pose="", pressed=None),
-            lambda: _with_force(
-                with_rubber(
-                    plain, [each.samples for each in every], press.result(), settings.level_sigma_pa
-                )
+            of_rubber,
+            lambda: with_rubber(
+                plain, [each.samples for each in every], press.result(), settings.level_sigma_pa
             ),
         )
+        if settings.force:
+            fitted = self._cached("force", of_rubber, lambda: with_force(fitted))
         if (pressed := settings.pressed) is None:
             return fitted
         progress("predicting the known press", 0.9)
@@ -249,7 +251,8 @@ class Workbench:
         return results[inputs]  # type: ignore[return-value]
 
 
-def _with_force(found: Identification) -> Identification:
+def with_force(found: Identification) -> Identification:
+    """With the force of a simulated press, which the verdict needs."""
     # not at the window's start
     from bubbleviz.calibration.reference_press import reference_force
 
