@@ -27,7 +27,8 @@ def found(press):
     """Identified from the first 40 of 60 contact-free frames; the atmosphere is unknown."""
     unknown = {"gauge_pressure_pa": 5258.0, "gauge_sigma_pa": None}
     unknown |= {"atmospheric_pressure_pa": 101_325.0}
-    return identify(press, changed(load_sensor("punyo_oval_d405"), pneumatics=unknown), range(40))
+    given = changed(load_sensor("punyo_oval_d405"), pneumatics=unknown)
+    return identify(press, given, range(40), nodes=600)
 
 
 @pytest.fixture(scope="module")
