@@ -15,7 +15,7 @@ from tests.shear.texture_bag import FRAMES, HELD, TOUCHED, image, write_texture_
 
 
 def test_a_result_has_traction_and_slip(tmp_path):
-    eyes, wanted = Eyes(), frozenset({"pixel_mask", "traction", "slip"})
+    eyes, wanted = Eyes(300), frozenset({"pixel_mask", "traction", "slip"})
     truth = stuck("puck", 0.004, 0.001, 8.0)
     results = [eyes.pipeline.process(eyes.rest(), wanted)]
     results += [eyes.pipeline.process(eyes.see(truth, k), wanted) for k in range(2)]
@@ -44,10 +44,16 @@ def test_a_result_has_traction_and_slip(tmp_path):
     assert rows[1]["traction_status"] == "ok"
 
 
-def test_no_light_touch_is_lost_by_colour(tmp_path):
+@pytest.fixture(scope="module")
+def texture_press(tmp_path_factory):
+    """Recording with every colour image as it should be, and sensor file."""
+    return write_texture_press(tmp_path_factory.mktemp("texture"), {})
+
+
+def test_no_light_touch_is_lost_by_colour(texture_press, tmp_path):
     """Tractions at all of its nodes could explain it without pressure."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
-    press, sensor = write_texture_press(tmp_path, {})
+    press, sensor = texture_press
     words = ("--sensor", sensor, "--shear", "--out", tmp_path / "r.npz")
     output_of("estimate", press, *words, "--frames", f"{TOUCHED - 1}:{TOUCHED + 1}")
     with np.load(tmp_path / "r.npz") as result:
@@ -95,15 +101,12 @@ def estimated(press, sensor, out, *options):
         return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
 
 
-def test_colour_that_leads_by_frames_is_paired_by_the_given_delay(tmp_path):
+def test_colour_that_leads_by_frames_is_paired_by_the_given_delay(texture_press, tmp_path):
     """By the option, which wins, or the sensor file; without either frames are paired by stamps."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")
-    for folder, lead in (("alike", 0), ("led", 2)):
-        (tmp_path / folder).mkdir()
-        press, sensor = write_texture_press(tmp_path / folder, {}, lead)
-    alike = tmp_path / "alike" / press.name
+    press, sensor = write_texture_press(tmp_path, {}, lead=2)
     delay_s = -2.0 * PERIOD / SECOND
-    wanted = estimated(alike, sensor, tmp_path / "wanted.npz")["traction_force_n"]
+    wanted = estimated(texture_press[0], sensor, tmp_path / "wanted.npz")["traction_force_n"]
     own = with_colour_delay(load_sensor(sensor), delay_s)
     save_sensor(own, tmp_path / "own.toml")
     by_file = estimated(press, tmp_path / "own.toml", tmp_path / "file.npz")
