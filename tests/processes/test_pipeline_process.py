@@ -2,7 +2,7 @@
 
 import os
 import signal
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +27,7 @@ def frames(sensor):
     return [source[k] for k in range(len(source))]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def pipeline(sensor):
     return Pipeline.of(load_sensor(sensor))
 
@@ -40,21 +40,34 @@ def started(process, frame):
     return process.pid
 
 
-@pytest.fixture
-def process(request, pipeline, frames):
-    """One that has solved the first frame."""
-    timeout_s = getattr(request, "param", 60.0)  # no solve takes longer, whatever else runs
+@contextmanager
+def running(pipeline, frames, timeout_s=60.0):  # no solve takes longer, whatever else runs
+    """A process that has solved the first frame."""
     with closing(PipelineProcess(pipeline, timeout_s=timeout_s)) as process:
         started(process, frames[0])
         yield process
 
 
-def test_the_process_does_not_take_time_from_the_window(process):
-    window, solver = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, process.pid))
+@pytest.fixture
+def process(request, pipeline, frames):
+    with running(pipeline, frames, *getattr(request, "param", ())) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def shared(pipeline, frames):
+    """One process for tests that it survives."""
+    with running(pipeline, frames) as process:
+        yield process
+
+
+def test_the_process_does_not_take_time_from_the_window(shared):
+    window, solver = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, shared.pid))
     assert solver > window
 
 
-def test_results_and_errors_are_those_of_a_local_pipeline(process, pipeline, sensor, frames):
+def test_results_and_errors_are_those_of_a_local_pipeline(shared, pipeline, sensor, frames):
+    process = shared
     here = Pipeline.of(load_sensor(sensor))
     here.process(frames[0], DEPTH_PRODUCTS, OPTIONS)
     zeroed = replace(
@@ -117,7 +130,7 @@ def test_an_object_at_rest_is_averaged_in_the_process_as_here(process, sensor):
     assert np.linalg.norm(there.estimate.force_n - expected) < np.linalg.norm(alone - expected)
 
 
-@pytest.mark.parametrize("process", [1.0], indirect=True, ids=["1 s"])
+@pytest.mark.parametrize("process", [(1.0,)], indirect=True, ids=["1 s"])
 @pytest.mark.parametrize(
     ("how", "words"),
     [
