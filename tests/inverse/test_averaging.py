@@ -33,7 +33,7 @@ class Damaged(HeldFrames):
 @cache
 def sensor():
     given = bv.load_sensor("pico_flexx_75mm")
-    return changed(given, membrane={"nodes": 400, "prestretch": 1.2})
+    return changed(given, membrane={"nodes": 300, "prestretch": 1.2})
 
 
 @cache
@@ -123,17 +123,16 @@ def test_a_stream_that_begins_anew_is_not_averaged_with_itself():
     assert images(found)[-2:] == [1, 1]
 
 
-@pytest.mark.parametrize("of", [lambda frames: averaged(HeldFrames(frames)), streamed])
-def test_a_motion_too_slow_to_be_seen_shifts_no_force(of):
+def test_a_motion_too_slow_to_be_seen_shifts_no_force():
     """A press of 0.02 mm a frame, seen in images of both sides, or of one as at the end."""
     depths = 6.0 + 0.02 * np.arange(14)
-    single = noisy(depths)
-    frames = of(single)
-    assert np.mean(images(frames)) > 4.0
-    truth = between(presses()[1], depths)
-    alone, mean = pushes(single) - truth, pushes(frames) - truth
-    assert np.sqrt(np.mean(mean**2)) < np.sqrt(np.mean(alone**2))
-    assert abs(mean[-5:].mean() - alone.mean()) < np.std(alone)  # both miss what the mesh does
+    single, truth = noisy(depths), between(presses()[1], depths)
+    alone = pushes(single) - truth
+    for frames in (averaged(HeldFrames(single)), streamed(single)):
+        assert np.mean(images(frames)) > 4.0
+        mean = pushes(frames) - truth
+        assert np.sqrt(np.mean(mean**2)) < np.sqrt(np.mean(alone**2))
+        assert abs(mean[-5:].mean() - alone.mean()) < np.std(alone)  # both miss what the mesh does
 
 
 @pytest.mark.parametrize("speed_mm", [0.6, -0.6])

@@ -67,7 +67,8 @@ def on_axis(depth):
 @cache
 def two_balls(membrane="rubber"):
     """A press of two balls by a forward model on a separate mesh, with the true pixels."""
-    (rubber, gas), balls = dome(4_000, STRETCH), load_object("two_spheres")
+    nodes = 2_000 if membrane == "rubber" else 4_000
+    (rubber, gas), balls = dome(nodes, STRETCH), load_object("two_spheres")
     mesh = rubber.mesh
     if membrane == "rubber":
         contact = RubberForward(rubber, gas).press(balls, pose(z=H - 0.005))
@@ -86,10 +87,10 @@ def test_area_of_small_contacts_on_a_coarse_mesh_equals_the_meridian_solution():
     for solver in (None, "rubber-base"):
         pipe = pipeline(400, solver=solver)
         found = []
-        for depth in (0.002, 0.003, 0.005, 0.007):
+        for depth in (0.002, 0.007):
             area_m2, surface = on_axis(depth)
             areas = []
-            for seed in range(3):  # noise of one image changes the area by up to 3 %
+            for seed in range(2):  # noise of one image changes the area by up to 3 %
                 pipe.restart()
                 image = frame_of(surface, np.zeros_like(surface.nodes), seed=seed)
                 areas.append(pipe.process(image, PRODUCTS).patch.area_m2)
@@ -102,7 +103,7 @@ def test_area_of_small_contacts_on_a_coarse_mesh_equals_the_meridian_solution():
 def test_area_of_a_small_contact_is_the_same_for_equivalent_estimates():
     """As two warm starts of one frame differ: pressure by 0.1 %, noise by a step of its grid."""
     pipe, differences = pipeline(400), []
-    for depth in (0.002, 0.003, 0.005):
+    for depth in (0.002, 0.007):
         surface = on_axis(depth)[1]
         pipe.restart()
         image = frame_of(surface, np.zeros_like(surface.nodes))

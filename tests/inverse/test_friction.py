@@ -21,7 +21,7 @@ from tests.oracles.stuck_press import Motion
 from tests.rubber_renders import rubber_truth
 from tests.shear.drag import FLOW_PX, Eyes, press, sensor, stuck
 
-EVERY = 1 if "TEST_ALL" in os.environ else 4
+EVERY = 1 if "TEST_ALL" in os.environ else 6
 """Which frames of the presses of another solver are solved."""
 PRODUCTS = frozenset({"patch"})
 DOME = mesh_cap(spherical_cap(0.045, 0.02), 800)

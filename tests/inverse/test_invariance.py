@@ -54,11 +54,12 @@ def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
 
     def found(*way):
         pipeline.restart()
-        return [pipeline.process(frames[k], PATCH) for k in way][-1]
+        return [pipeline.process(frames[k], PATCH) for k in way]
 
     shares, areas = [], []  # of the tolerance, for every way to every frame
     for k in range(62, 69):
-        alone, *others = (found(*way) for way in ((k,), (k - 1, k), (k + 1, k), (k, k), 4 * (k,)))
+        alone, again, _, last = found(*4 * (k,))
+        others = again, last, found(k - 1, k)[-1], found(k + 1, k)[-1]
         force, own = force_of(alone), alone.estimate.force_n
         sigma = np.sqrt(own @ alone.estimate.wrench_covariance[:3, :3] @ own) / force
         differences = np.array([abs(force_of(each) - force) for each in others])
