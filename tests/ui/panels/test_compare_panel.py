@@ -14,6 +14,12 @@ from bubbleviz_ui.shell import theme
 PRESSED = 8
 
 
+@pytest.fixture(scope="session")
+def sensor():
+    """A coarse one: the panel shows what is known of a frame, whatever the mesh."""
+    return small_sensor(nodes=80)
+
+
 def outlines(driver):
     """Number of pixels of the outlines of A and B in the 3-D view."""
     return driver.count(*theme.COMPARED)

@@ -90,37 +90,7 @@ def test_another_recording_or_sensor_file_is_overlaid_compared_and_drawn_beside(
         own, same = scale * known(quantity), times > -0.5 * STEP_S
         np.testing.assert_allclose(times[same], np.arange(FRAMES) * STEP_S, atol=1e-6)
         np.testing.assert_allclose(values[same], own, atol=0.1 * own.max())
-    # another setting makes other numbers: none of the old ones stays
-    driver.state.change(kappa=3.0)
-    assert (
-        panel.result.text() == ""
-        and plots.plots["force"].other_curves["force_n"].getData()[0] is None
-    )
-    driver.click(panel.start)
-    driver.wait(lambda: "median" in panel.result.text())
-    driver.click(panel.remove)
-    assert panel.result.text() == "" and not panel.start.isEnabled()
-    assert panel.recording.text() == "Recording…"
-    driver.choose(kappa=None)
-    # the same recording is compared with another sensor file
-    gauge = {"gauge_pressure_pa": 1.5 * sensor.pneumatics.gauge_pressure_pa}
-    save_sensor(changed(sensor, pneumatics=gauge), tmp_path / "other.toml")
-    choose(panel.sensor_file, tmp_path / "other.toml")
-    driver.click(panel.start)
-    driver.wait(lambda: "median" in panel.result.text())
-    here, *_ = numbers(driver, "|ΔF|")
-    force = np.linalg.norm(driver.result.patch.force_n)
-    assert here == pytest.approx(0.5 * force, rel=0.15)  # force is proportional to the gauge
-    # what cannot be read is said
-    choose(panel.recording, tmp_path / "missing.mcap")
-    driver.click(panel.start)
-    driver.wait(lambda: "missing.mcap" in panel.result.text())
-    assert panel.start.isEnabled()
-    driver.click(panel.remove)
     # its membrane is drawn beside at the same moment
-    choose(panel.recording, tmp_path / "later.mcap")
-    driver.click(panel.start)
-    driver.wait(lambda: "median" in panel.result.text())
     assert not second_membranes(driver)
     driver.click(panel.drawn)
     driver.wait_for_redraw()
@@ -142,7 +112,35 @@ def test_another_recording_or_sensor_file_is_overlaid_compared_and_drawn_beside(
     assert warm_halves() == (0, 0)  # neither touches
     driver.click(panel.drawn)
     assert not second_membranes(driver)
+    # another setting makes other numbers: none of the old ones stays
+    driver.state.change(kappa=3.0)
+    assert (
+        panel.result.text() == ""
+        and plots.plots["force"].other_curves["force_n"].getData()[0] is None
+    )
+    driver.choose(kappa=None)
+    # what cannot be read is said
+    choose(panel.recording, tmp_path / "missing.mcap")
+    driver.click(panel.start)
+    driver.wait(lambda: "missing.mcap" in panel.result.text())
+    assert panel.start.isEnabled()
+    driver.click(panel.remove)
+    assert panel.result.text() == "" and not panel.start.isEnabled()
+    assert panel.recording.text() == "Recording…"
+    # the same recording is compared with another sensor file
+    driver.seek(PRESSED)
+    gauge = {"gauge_pressure_pa": 1.5 * sensor.pneumatics.gauge_pressure_pa}
+    save_sensor(changed(sensor, pneumatics=gauge), tmp_path / "other.toml")
+    choose(panel.sensor_file, tmp_path / "other.toml")
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
+    here, *_ = numbers(driver, "|ΔF|")
+    force = np.linalg.norm(driver.result.patch.force_n)
+    assert here == pytest.approx(0.5 * force, rel=0.15)  # force is proportional to the gauge
+    # nothing of it stays with another source
     driver.click(panel.drawn)
+    driver.wait_for_redraw()
+    assert second_membranes(driver)
     driver.open("nothing of this", DentSource, small_sensor())
     driver.wait(lambda: panel.result.text() == "")
     assert not second_membranes(driver)

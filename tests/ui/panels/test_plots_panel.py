@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 import pytest
-from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource
+from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource, small_sensor
 from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
@@ -30,6 +30,12 @@ from bubbleviz_ui.panels.plot_host import Plot
 from bubbleviz_ui.panels.time_plot import Band
 
 PATCH = frozenset({"estimate", "patch"})
+
+
+@pytest.fixture(scope="session")
+def sensor():
+    """A coarse one: the panel shows what is known of a frame, whatever the mesh."""
+    return small_sensor(nodes=80)
 
 
 def opened(driver, *plots):

@@ -1,10 +1,15 @@
-"""A short recording and its sensor file, opened in a window."""
+"""A short recording and the file of its coarse sensor, opened in a window."""
 
 import pytest
-from fakes import FRAMES, DentSource, record
+from fakes import FRAMES, DentSource, record, small_sensor
 
 from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz_ui.engine.source import Source
+
+
+@pytest.fixture(scope="session")
+def sensor():
+    return small_sensor(nodes=80)
 
 
 @pytest.fixture
