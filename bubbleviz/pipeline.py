@@ -163,6 +163,18 @@ class Pipeline:
                         result = _STAGES[name].run(self, result, options)
         return self.diagnose(replace(result, times_ms=times), products, options)
 
+    def extended(
+        self, result: Result, product: Product, run: Callable[[Result], Result] | None = None
+    ) -> Result:
+        """A result with another product, by its stage or a given function, and with its time."""
+        times: dict[str, float] = {}
+        with self._timed(product, times):
+            stage = _STAGES[product].run
+            found = run(result) if run is not None else stage(self, result, FrameOptions())
+        for name in (product, "total"):
+            times[name] = times[product] + result.times_ms.get(name, 0.0)
+        return replace(found, times_ms=result.times_ms | times)
+
     def diagnose(
         self,
         result: Result,

@@ -20,12 +20,13 @@ from bubbleviz.api.estimator import (
 )
 from bubbleviz.api.frame_warnings import NO_FRAME_FITS
 from bubbleviz.api.frames import Frames, open
+from bubbleviz.api.pose_search import with_poses
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError, check_given, given_path
 from bubbleviz.files import pose_numbers, refuse_existing, refuse_input
 from bubbleviz.inverse import EstimatorOptions
-from bubbleviz.pipeline import OBJECT_PRODUCTS, SHEAR, Pipeline, Product
+from bubbleviz.pipeline import SHEAR, Pipeline, Product
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import (
     AUTO,
@@ -310,10 +311,12 @@ def track(
         pipeline.track(obj, initial_pose, thorough=True)
         zeros, run = _new_run(chosen, name, pipeline, solver, zero_gas, out)
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
-        products: frozenset[Product] = OBJECT_PRODUCTS if object_patch else frozenset({"pose"})
-        frame_solver = FrameSolver(pipeline, products, zeros=zeros)
+        frame_solver = FrameSolver(pipeline, frozenset({"patch"}), zeros=zeros)
         ambiguous: list[tuple[int, Pose]] = []
-        for result in _results(chosen, frame_solver, progress):
+        for result in with_poses(_results(chosen, frame_solver), pipeline):
+            if object_patch:
+                result = pipeline.extended(result, "object_patch")
+            progress("solving", (len(run) + 1) / len(chosen))
             run.add(result, keep=out is None)
             if result.pose is not None and result.pose.status == "ok" and len(result.pose.others):
                 ambiguous.append((result.frame.index, result.pose))
@@ -450,7 +453,7 @@ def _new_run(
     return zeros, Run(pipeline.model, context, provenance)
 
 
-def _results(frames: Frames, solver: FrameSolver, progress: Progress) -> Iterator[Result]:
+def _results(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> Iterator[Result]:
     """Results of frames in order.
 
     A frame that does not fit the sensor file may take seconds. If the first one does not, frames

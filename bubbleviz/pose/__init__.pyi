@@ -38,6 +38,8 @@ from .registration import (
     spins as spins,
 )
 from .tracker import (
+    MAX_GAP_S as MAX_GAP_S,
+    UNKNOWN_S as UNKNOWN_S,
     PoseTracker as PoseTracker,
     check_size as check_size,
     precision_of as precision_of,

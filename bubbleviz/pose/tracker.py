@@ -10,6 +10,7 @@ yet, and with those that fit as well, until they are refuted; till then its cova
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from bubbleviz.pose.dual_stage import (
     InitialPoseFinder,
     Solution,
     Solver,
-    looks_alike,
+    looking_different,
 )
 from bubbleviz.pose.motion import (
     START_DEVIATION,
@@ -41,7 +42,8 @@ _JUMP_M = 3.0 * START_DEVIATION[0]
 """Motion of the contact's centre, and median distance of the contact from the object at its last
 pose, beyond which the object is taken to have jumped with it. Fits from farther away may end in
 another pose, as on its flank. A contact that hops from one foot to another stays on the object."""
-_MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
+MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
+UNKNOWN_S = float(np.pi / _FASTEST[1])  # time in which an object may turn to any pose
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a live frame, few so that none waits for the search; and in the first."""
 _LARGEST = 20.0
@@ -84,15 +86,44 @@ class PoseTracker:
         self._waiting_at = np.zeros(3)
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
-        """Pose in a frame with its estimate and patch."""
+        """Pose in the next frame with its estimate and patch."""
+        return self.reported(self.find(frame, estimate, patch))
+
+    def reported(self, pose: Pose) -> Pose:
+        """A pose that was found in the next frame; without one the last good one is kept."""
+        if pose.status == "ok":
+            self._good = pose.T_B_O
+            return pose
+        status = pose.status if np.isnan(self._good).any() else "lost"
+        return replace(pose, status=status, T_B_O=self._good)
+
+    def backward(self) -> PoseTracker:
+        """A tracker of the frames before the last one, with negative times, from its pose."""
+        other = copy(self)
+        other._good_s = -self._good_s
+        return other
+
+    def resume(self) -> None:
+        """Continue after frames of the tracker `backward`, which uses the same solver."""
+        self._solver.reset()
+
+    def is_unknown(self, time_s: float) -> bool:
+        """Whether the object may be in any pose, as for too long none was found, or never."""
+        if self._start is not None:
+            return False
+        known = self._tried == 0 or 0.0 <= time_s - self._good_s <= UNKNOWN_S
+        return self._motion is None or not known
+
+    def find(self, frame: Frame, estimate: Estimate, patch: Patch, *, search: bool = False) -> Pose:
+        """Pose in a frame; `search`: from the initial poses even if one can be predicted."""
         if estimate.status != "ok":
-            return self._without(
-                frame, "no_contact" if estimate.status == "no_contact" else "no_data"
-            )
+            return self._without("no_contact" if estimate.status == "no_contact" else "no_data")
         contact = contact_points(self._mesh, estimate, patch)
         if contact is None:
-            return self._without(frame, "few_points" if patch.area_m2 > 0.0 else "no_contact")
-        predicted = self._predicted(frame, contact)
+            return self._without("few_points" if patch.area_m2 > 0.0 else "no_contact")
+        if search:
+            self._tried = min(self._tried, 1)
+        predicted = None if search else self._predicted(frame, contact)
         solution = rejected = None
         if predicted is not None:
             settled = not (len(self._waiting) or len(self._rivals))
@@ -108,7 +139,7 @@ class PoseTracker:
             if solution.fit.fitness < FOUND_FITNESS:
                 solution, rejected = None, solution
         if solution is None:
-            return replace(self._without(frame, "lost"), rejected=rejected and rejected.fit)
+            return replace(self._without("lost"), rejected=rejected and rejected.fit)
         return self._accepted(frame, contact, solution)
 
     def _predicted(self, frame: Frame, contact: ContactPoints) -> Motion | None:
@@ -120,8 +151,7 @@ class PoseTracker:
         if self._has_jumped(contact, self._motion.T_B_O):
             return Motion.at_rest(self._carried(contact), START_DEVIATION, contact.center)
         gap = frame.time_s - self._good_s
-        known = 0.0 <= gap <= _MAX_GAP_S
-        if not known:  # jump in the recording, or another one
+        if not 0.0 <= gap <= MAX_GAP_S:  # or a jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
 
@@ -170,8 +200,9 @@ class PoseTracker:
             self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         first = self._motion is None and self._tried == 0
         count = _STARTS_AT_FIRST if first else _STARTS_PER_FRAME
-        for poses in (self._waiting, self._rivals):
-            poses[:, :3, 3] += contact.center - self._waiting_at
+        shift = np.zeros((4, 4))
+        shift[:3, 3] = contact.center - self._waiting_at
+        self._waiting, self._rivals = self._waiting + shift, self._rivals + shift
         self._waiting_at = contact.center
         rivals = 2 if len(self._waiting) else 1
         if self._thorough:
@@ -183,13 +214,7 @@ class PoseTracker:
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion, self._good_s = solution.motion, frame.time_s
         self._good_center, self._tried = contact.center, 0
-        new = [
-            other
-            for other in solution.pose.others
-            if not any(looks_alike(self.model, each, other) for each in self._rivals)
-        ]
-        self._rivals = np.concatenate([self._rivals, np.reshape(new, (-1, 4, 4))])
-        self._good = solution.pose.T_B_O
+        self._rivals = looking_different(self.model, [*self._rivals, *solution.pose.others])
         covariance = solution.pose.covariance + self._spread(solution.pose)
         return replace(solution.pose, others=self._rivals.copy(), covariance=covariance)
 
@@ -201,12 +226,11 @@ class PoseTracker:
         spread: np.ndarray = ways.T @ ways / (1 + len(ways))
         return spread
 
-    def _without(self, frame: Frame, why: PoseStatus) -> Pose:
-        """Result of a frame without a new pose; the last good one is kept."""
-        if self._motion is None:
-            return Pose(why, self._good)
-        self._tried = max(self._tried, 1)
-        return Pose("lost", self._good)
+    def _without(self, why: PoseStatus) -> Pose:
+        """Result of a frame without a pose."""
+        if self._motion is not None:
+            self._tried = max(self._tried, 1)
+        return Pose(why, self._good)
 
 
 def precision_of(estimator: Estimator) -> Precision:

@@ -184,6 +184,25 @@ def test_the_ellipsoid_of_a_live_pose_holds_all_that_are_not_refuted(
         assert off @ np.linalg.solve(pose.origin_covariance, off) < chdtri(6, 0.05)
 
 
+def test_first_contacts_of_a_recording_have_the_pose_that_the_largest_determines(sensor):
+    """An image with outliers at 2 m does not count as the largest contact."""
+    box, depths_m = cuboid(0.018, 0.012, 0.010), np.array([2e-3, 5e-3, 9.5e-3])
+    path = np.repeat((turned("z", 10.0) @ turned("x", -4.0))[None], len(depths_m), axis=0)
+    path[:, :2, 3] = -7e-3, 8.6e-3
+    path[:, 2, 3] = touching_height(box, path[0], build_mesh(sensor)) - depths_m
+    pressed = SyntheticSource(sensor, box, path, DepthNoise(absolute_m=1.5e-4), nodes=4_000)
+    frames = [pressed[k] for k in range(len(path))]
+    outliers = np.random.default_rng(1).uniform(size=frames[0].depth_m.shape) < 5e-3
+    depth_m = np.where(outliers, np.float32(2.0), frames[0].depth_m)
+    run = bv.track([replace(frames[0], depth_m=depth_m), *frames[1:]], box, sensor)
+    assert [row["frame"] for row in run.poses] == [0, 1, 2]
+    assert {row["status"] for row in run.poses} == {"ok"}
+    turns = np.swapaxes(run.T_B_O[:, :3, :3], 1, 2) @ path[:, :3, :3]
+    # up to half turns, which leave the box as it is
+    alike = np.abs(np.diagonal(turns, axis1=1, axis2=2)).min(axis=1)
+    assert alike.min() > np.cos(np.radians(15.0))
+
+
 def test_in_a_recording_all_initial_poses_are_compared(sensor):
     """A box with three unlike faces: a live frame tries a few poses, none of them the true one."""
     box = cuboid(0.018, 0.012, 0.010)

@@ -1,0 +1,85 @@
+"""Poses in a recording, searched for where the contact is largest.
+
+A light contact fits many poses. Where the pose is to be found, frames wait until their contact has
+ended. The pose found in the largest contact is then followed back to its first frame, and ahead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from bubbleviz.pipeline import Pipeline
+from bubbleviz.pose import MAX_GAP_S, UNKNOWN_S, PoseTracker
+from bubbleviz.result import Result
+
+_MOST_HELD = 64
+"""Most frames that wait: two seconds at 30 Hz, and 85 MB with images of 640 × 480 pixels."""
+
+
+def with_poses(results: Iterable[Result], pipeline: Pipeline) -> Iterator[Result]:
+    """Results of a recording in order, which have estimate and patch, with the pose added."""
+    tracker = pipeline.tracker
+    assert tracker is not None
+    for result in _followed(results, pipeline, tracker):
+        assert result.pose is not None
+        yield replace(result, pose=tracker.reported(result.pose))
+
+
+def _followed(
+    results: Iterable[Result], pipeline: Pipeline, tracker: PoseTracker
+) -> Iterator[Result]:
+    held: list[Result] = []
+    for result in results:
+        if len(held) == _MOST_HELD or _has_ended(held, result):
+            yield from _found(held, pipeline, tracker)
+            held = []
+        if held or (_contact_area_m2(result) and tracker.is_unknown(result.frame.time_s)):
+            held.append(result)
+        else:
+            yield _with_pose(result, pipeline, tracker)
+    yield from _found(held, pipeline, tracker)
+
+
+def _found(held: list[Result], pipeline: Pipeline, tracker: PoseTracker) -> Iterator[Result]:
+    """Results of one contact, with poses by that of the largest patch in which one is found."""
+    for k in sorted(range(len(held)), key=lambda k: -_contact_area_m2(held[k])):
+        held[k] = _with_pose(held[k], pipeline, tracker, search=True)
+        if (pose := held[k].pose) is not None and pose.status == "ok":
+            break
+    else:
+        yield from held
+        return
+    earlier = tracker.backward()
+    for j in range(k - 1, -1, -1):
+        frame = held[j].frame
+        back = replace(held[j], frame=replace(frame, time_s=-frame.time_s))
+        held[j] = replace(_with_pose(back, pipeline, earlier), frame=frame)
+    tracker.resume()
+    yield from held[: k + 1]
+    for result in held[k + 1 :]:
+        yield _with_pose(result, pipeline, tracker)
+
+
+def _with_pose(
+    result: Result, pipeline: Pipeline, tracker: PoseTracker, *, search: bool = False
+) -> Result:
+    def add(result: Result) -> Result:
+        return replace(result, pose=tracker.find(result.frame, *result.solution, search=search))
+
+    return pipeline.extended(result, "pose", add)
+
+
+def _contact_area_m2(result: Result) -> float:
+    """Area of the patch; 0 without a trusted estimate."""
+    estimate, patch = result.solution
+    return patch.area_m2 if estimate.status == "ok" else 0.0
+
+
+def _has_ended(held: list[Result], result: Result) -> bool:
+    """Whether a frame does not belong to the contact of those before it."""
+    touched_s = [each.frame.time_s for each in held if _contact_area_m2(each)]
+    if not touched_s:
+        return False
+    longest_s = MAX_GAP_S if _contact_area_m2(result) else UNKNOWN_S
+    return not 0.0 <= result.frame.time_s - touched_s[-1] <= longest_s
