@@ -139,7 +139,7 @@ def test_uneven_tension_is_that_of_the_force_balance():
     truth, camera = rubber_truth("dome_ball"), camera_of(160, 107.5)
     nodes, triangles = truth["rest_m"], truth["triangles"]
     source = render("dome", camera, at_rest(nodes, 10), triangles, GAUGE_PA)
-    found = identify(source, dome_sensor(camera), nodes=400)
+    found = identify(source, dome_sensor(camera))
 
     def seen(mesh):
         """Tension that balances the seen part."""

@@ -45,6 +45,7 @@ def fine_mesh():
     return build_mesh(SENSOR, 6000)
 
 
+@cache
 def press(name, depth_m, place_m=(0.006, -0.004)):
     mesh = fine_mesh()
     model = ForwardModel(mesh, TENSION, Gas.of(SENSOR.pneumatics, mesh))
