@@ -69,6 +69,7 @@ def test_check_marks_follow_the_state_and_close_shows_the_sensor_at_rest(drive, 
     assert {"no contact", "no depth data"}.isdisjoint(view_texts(driver))
     for panel in driver.window.panels.values():
         panel.show()
+    assert not driver.window.plots.analyse.isEnabled()
     driver.choose(kappa=2.0, layers=frozenset(driver.window.layers.boxes))
     assert not driver.window.message.isVisible()
     driver.bot.keyClick(driver.window, Qt.Key.Key_Space)

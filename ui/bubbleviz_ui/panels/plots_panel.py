@@ -66,6 +66,7 @@ class PlotsPanel(QWidget):
         state.source_changed.connect(self._on_source)
         state.follow({"plots"}, self._arrange)
         state.follow(DRAWN, self._draw)
+        self._on_source()
 
     def _lay_out(self) -> None:
         row = fill(
@@ -111,6 +112,7 @@ class PlotsPanel(QWidget):
             self._draw_cursor()
 
     def _on_source(self) -> None:
+        self.analyse.setDisabled(self._state.facts.is_empty)
         for plot in self.plots.values():
             plot.show_all()
         self._draw()
