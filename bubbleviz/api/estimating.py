@@ -20,7 +20,6 @@ from bubbleviz.api.estimator import (
 )
 from bubbleviz.api.frame_warnings import NO_FRAME_FITS
 from bubbleviz.api.frames import Frames, open
-from bubbleviz.api.pose_search import with_poses
 from bubbleviz.api.results import FrameResult, OneBlasThread, Run
 from bubbleviz.camera import Intrinsics
 from bubbleviz.errors import InputError, check_given, given_path
@@ -298,6 +297,8 @@ def track(
     InputError
         An input does not exist or does not match the others, or no frame has a pose.
     """
+    from bubbleviz.api.pose_search import with_poses  # estimates alone do not load it
+
     initial_pose = given_pose(init)
     obj = load_object(object, unit)
     solving: dict[str, Any] = {"solver": solver, "friction": friction, "zero_gas": zero_gas}
@@ -313,10 +314,9 @@ def track(
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         frame_solver = FrameSolver(pipeline, frozenset({"patch"}), zeros=zeros)
         ambiguous: list[tuple[int, Pose]] = []
-        for result in with_poses(_results(chosen, frame_solver), pipeline):
+        for result in with_poses(_results(chosen, frame_solver, progress), pipeline):
             if object_patch:
                 result = pipeline.extended(result, "object_patch")
-            progress("solving", (len(run) + 1) / len(chosen))
             run.add(result, keep=out is None)
             if result.pose is not None and result.pose.status == "ok" and len(result.pose.others):
                 ambiguous.append((result.frame.index, result.pose))
@@ -453,7 +453,7 @@ def _new_run(
     return zeros, Run(pipeline.model, context, provenance)
 
 
-def _results(frames: Frames, solver: FrameSolver, progress: Progress = quiet) -> Iterator[Result]:
+def _results(frames: Frames, solver: FrameSolver, progress: Progress) -> Iterator[Result]:
     """Results of frames in order.
 
     A frame that does not fit the sensor file may take seconds. If the first one does not, frames
