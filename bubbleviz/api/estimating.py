@@ -314,7 +314,7 @@ def track(
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         frame_solver = FrameSolver(pipeline, frozenset({"patch"}), zeros=zeros)
         ambiguous: list[tuple[int, Pose]] = []
-        for result in with_poses(_results(chosen, frame_solver, progress), pipeline):
+        for result in with_poses(_results(chosen, frame_solver, progress), pipeline, progress):
             if object_patch:
                 result = pipeline.extended(result, "object_patch")
             run.add(result, keep=out is None)

@@ -11,51 +11,63 @@ from dataclasses import replace
 
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.pose import MAX_GAP_S, UNKNOWN_S, PoseTracker
+from bubbleviz.progress import Progress
 from bubbleviz.result import Result
 
 _MOST_HELD = 64
-"""Most frames that wait: two seconds at 30 Hz, and 85 MB with images of 640 × 480 pixels."""
+"""Most frames that wait: 2 s at 30 Hz, and up to 165 MB with images of 640 × 480 pixels."""
 
 
-def with_poses(results: Iterable[Result], pipeline: Pipeline) -> Iterator[Result]:
-    """Results of a recording in order, which have estimate and patch, with the pose added."""
+def with_poses(
+    results: Iterable[Result],  # of a recording in order, which have estimate and patch
+    pipeline: Pipeline,
+    progress: Progress,  # of each search
+) -> Iterator[Result]:
+    """The results with the pose added."""
     tracker = pipeline.tracker
     assert tracker is not None
-    for result in _followed(results, pipeline, tracker):
+    for result in _followed(results, pipeline, tracker, progress):
         assert result.pose is not None
         yield replace(result, pose=tracker.reported(result.pose))
 
 
 def _followed(
-    results: Iterable[Result], pipeline: Pipeline, tracker: PoseTracker
+    results: Iterable[Result], pipeline: Pipeline, tracker: PoseTracker, progress: Progress
 ) -> Iterator[Result]:
     held: list[Result] = []
     for result in results:
         if len(held) == _MOST_HELD or _has_ended(held, result):
-            yield from _found(held, pipeline, tracker)
+            yield from _found(held, pipeline, tracker, progress)
             held = []
         if held or (_contact_area_m2(result) and tracker.is_unknown(result.frame.time_s)):
             held.append(result)
         else:
             yield _with_pose(result, pipeline, tracker)
-    yield from _found(held, pipeline, tracker)
+    yield from _found(held, pipeline, tracker, progress)
 
 
-def _found(held: list[Result], pipeline: Pipeline, tracker: PoseTracker) -> Iterator[Result]:
+def _found(
+    held: list[Result], pipeline: Pipeline, tracker: PoseTracker, progress: Progress
+) -> Iterator[Result]:
     """Results of one contact, with poses by that of the largest patch in which one is found."""
-    for k in sorted(range(len(held)), key=lambda k: -_contact_area_m2(held[k])):
+    largest_first = sorted(range(len(held)), key=lambda k: -_contact_area_m2(held[k]))
+    for j in range(largest_first[0] if held else 0):
+        held[j] = _with_pose(held[j], pipeline, tracker)
+    for count, k in enumerate(largest_first):
+        progress("searching for the object", count / len(held))
         held[k] = _with_pose(held[k], pipeline, tracker, search=True)
         if (pose := held[k].pose) is not None and pose.status == "ok":
             break
     else:
         yield from held
         return
-    earlier = tracker.backward()
-    for j in range(k - 1, -1, -1):
-        frame = held[j].frame
-        back = replace(held[j], frame=replace(frame, time_s=-frame.time_s))
-        held[j] = replace(_with_pose(back, pipeline, earlier), frame=frame)
-    tracker.resume()
+    if k:
+        earlier = tracker.backward()
+        for j in range(k - 1, -1, -1):
+            frame = held[j].frame
+            back = replace(held[j], frame=replace(frame, time_s=-frame.time_s))
+            held[j] = replace(_with_pose(back, pipeline, earlier), frame=frame)
+        tracker.resume()
     yield from held[: k + 1]
     for result in held[k + 1 :]:
         yield _with_pose(result, pipeline, tracker)

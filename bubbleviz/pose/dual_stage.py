@@ -123,6 +123,8 @@ class Solver:
         contact: ContactPoints,
         starts: np.ndarray,
         known: Solution | None = None,  # kept unless another solution is more likely
+        *,
+        refine: bool = False,  # compare with it after refinement, which may make others likely
     ) -> Solution:
         """Both stages from the best of initial poses (s, 4, 4), which may not fit.
 
@@ -136,7 +138,7 @@ class Solver:
         ]
         coarse.sort(key=lambda fit: fit.cost)
         least, refined_most = coarse[0].cost, _FINALISTS
-        if known is not None and least > known.fit.cost - _AS_LIKELY:
+        if known is not None and not refine and least > known.fit.cost - _AS_LIKELY:
             least, refined_most = known.fit.cost, 0  # none of them refutes it
         likely = [
             fit for fit in coarse if fit.cost < least + _AS_LIKELY and fit.fitness >= FOUND_FITNESS
@@ -149,7 +151,10 @@ class Solver:
         good = [one for one in refined if one.fit.fitness >= FOUND_FITNESS]
         good += [] if known is None else [known]
         good = sorted(good or refined, key=lambda one: one.fit.cost)
-        fitting = [one.fit.T_B_O for one in good if one.fit.cost < good[0].fit.cost + _AS_LIKELY]
+        limit = good[0].fit.cost + _AS_LIKELY
+        # one frame does not refute a pose that was followed to it from others
+        kept = known if refine else None
+        fitting = [one.fit.T_B_O for one in good if one.fit.cost < limit or one is kept]
         others = looking_different(model, [*fitting, *candidates[refined_most:]])[1:]
         return good[0]._replace(pose=replace(good[0].pose, others=others))
 

@@ -2,7 +2,8 @@
 
 The object is lost if too little of the patch lies on it, if it would have moved faster than hands
 and robots do, or if there is no contact. Then the last good pose is kept, and every frame tries a
-few more initial poses, so that no live frame waits for the search; in a recording, all others.
+few more initial poses, so that no live frame waits for the search. A recording is searched with all
+of them, first where its contact is largest, see `bubbleviz.api.pose_search`.
 
 A light contact fits many poses. A pose found by search is compared with the initial poses not tried
 yet, and with those that fit as well, until they are refuted; till then its covariance has them.
@@ -23,7 +24,7 @@ from bubbleviz.pose.dual_stage import (
     InitialPoseFinder,
     Solution,
     Solver,
-    looking_different,
+    looks_alike,
 )
 from bubbleviz.pose.motion import (
     START_DEVIATION,
@@ -43,7 +44,7 @@ _JUMP_M = 3.0 * START_DEVIATION[0]
 pose, beyond which the object is taken to have jumped with it. Fits from farther away may end in
 another pose, as on its flank. A contact that hops from one foot to another stays on the object."""
 MAX_GAP_S = 1.0  # time between frames beyond which motion is not predicted
-UNKNOWN_S = float(np.pi / _FASTEST[1])  # time in which an object may turn to any pose
+UNKNOWN_S = float(np.pi / _FASTEST[1])  # time in which a free object may turn to any pose
 _STARTS_PER_FRAME, _STARTS_AT_FIRST = 4, 12
 """Initial poses tried in a live frame, few so that none waits for the search; and in the first."""
 _LARGEST = 20.0
@@ -111,26 +112,28 @@ class PoseTracker:
         """Whether the object may be in any pose, as for too long none was found, or never."""
         if self._start is not None:
             return False
-        known = self._tried == 0 or 0.0 <= time_s - self._good_s <= UNKNOWN_S
-        return self._motion is None or not known
+        known_s = MAX_GAP_S if self._tried == 0 else UNKNOWN_S
+        return self._motion is None or not 0.0 <= time_s - self._good_s <= known_s
 
     def find(self, frame: Frame, estimate: Estimate, patch: Patch, *, search: bool = False) -> Pose:
-        """Pose in a frame; `search`: from the initial poses even if one can be predicted."""
+        """Pose in a frame; `search`: compared with all initial poses even if it was followed."""
         if estimate.status != "ok":
             return self._without("no_contact" if estimate.status == "no_contact" else "no_data")
         contact = contact_points(self._mesh, estimate, patch)
         if contact is None:
             return self._without("few_points" if patch.area_m2 > 0.0 else "no_contact")
-        if search:
-            self._tried = min(self._tried, 1)
-        predicted = None if search else self._predicted(frame, contact)
+        predicted = self._predicted(frame, contact)
         solution = rejected = None
         if predicted is not None:
-            settled = not (len(self._waiting) or len(self._rivals))
+            settled = not (search or len(self._waiting) or len(self._rivals))
             tracking = settled and self._tried == 0 and self._motion is not None
             solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
             if not self._plausible(solution, frame, contact):
                 solution, rejected = None, solution
+            elif search:
+                self._begin_search(contact)
+                starts = self._next_starts(contact)
+                solution = self._solver.best(frame, contact, starts, known=solution, refine=True)
             elif len(self._waiting) or len(self._rivals):
                 starts = self._next_starts(contact)
                 solution = self._solver.best(frame, contact, starts, known=solution)
@@ -184,8 +187,7 @@ class PoseTracker:
         """The best of a few initial poses; the next frame tries others."""
         last = self._motion if self._tried <= 1 else None
         if last is not None or self._tried == 0:  # the search begins
-            self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
-            self._rivals = self._rivals[:0]
+            self._begin_search(contact)
         chosen = np.zeros((0, 4, 4))
         if last is not None:
             chosen = np.stack([last.T_B_O, self._carried(contact)])
@@ -193,6 +195,10 @@ class PoseTracker:
             chosen = np.concatenate([chosen, self._next_starts(contact)])
         self._tried += 1
         return self._solver.best(frame, contact, chosen)
+
+    def _begin_search(self, contact: ContactPoints) -> None:
+        self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
+        self._rivals = self._rivals[:0]
 
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
         """One or two poses that fit as well, and some not tried yet, more at first; or all."""
@@ -214,7 +220,12 @@ class PoseTracker:
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion, self._good_s = solution.motion, frame.time_s
         self._good_center, self._tried = contact.center, 0
-        self._rivals = looking_different(self.model, [*self._rivals, *solution.pose.others])
+        new = [
+            other
+            for other in solution.pose.others
+            if not any(looks_alike(self.model, each, other) for each in self._rivals)
+        ]
+        self._rivals = np.concatenate([self._rivals, np.reshape(new, (-1, 4, 4))])
         covariance = solution.pose.covariance + self._spread(solution.pose)
         return replace(solution.pose, others=self._rivals.copy(), covariance=covariance)
 
