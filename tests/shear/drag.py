@@ -28,7 +28,7 @@ def sensor(nodes=600):
 
 
 @cache
-def press(name, depth_m, nodes=1000):
+def press(name, depth_m, nodes=1400):
     """An object pressed in off the axis, and the distance of each node from its middle, m."""
     found = pressed(sensor(), name, depth_m, nodes)
     x = found.pressed_m
