@@ -1,7 +1,8 @@
 """Poses in a recording, searched for where the contact is largest.
 
 A light contact fits many poses. Where the pose is to be found, frames wait until their contact has
-ended. The pose found in the largest contact is then followed back to its first frame, and ahead.
+ended. A pose is followed to its largest patch and compared there with all initial poses; the best
+is then followed back to the first frame, and ahead.
 """
 
 from __future__ import annotations

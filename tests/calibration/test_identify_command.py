@@ -71,6 +71,7 @@ def test_report_is_self_contained(made):
     text = (folder / "report" / "report.html").read_text()
     assert json.loads((folder / "report" / "report.json").read_text()) == numbers
     assert numbers["verdict"]["summary"] in text
+    assert numbers["reference_force_n"]["value"] > 0.0  # of a simulated press
     assert numbers["origin"]["recording_sha256"] in text
     pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', text)
     assert len(pictures) >= 6 and "http" not in text and text.count("src=") == len(pictures)

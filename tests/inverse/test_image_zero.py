@@ -175,6 +175,13 @@ def test_frames_of_a_short_recording_are_searched_for_contact_once():
     assert max(read.values()) <= 3  # twice as a neighbour of others
 
 
+def test_a_short_rest_between_contacts_is_found():
+    frames, _ = press(0)
+    touched = frames[-5:]
+    zeros = zeros_of(HeldFrames([*touched, *frames[:4], *touched]), Pipeline.of(rubber_dome()))
+    assert zeros.applied(touched[0]).image_errors is not None
+
+
 @pytest.mark.parametrize("options", [EstimatorOptions(image_error=0.0), EstimatorOptions("paper")])
 def test_estimators_without_image_errors_know_none(options):
     frames, _ = press(0)
