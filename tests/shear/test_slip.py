@@ -12,7 +12,7 @@ STEP_M = 2.5e-4
 STICKING = 3
 
 
-def slips(name, depth_m, frames, sliding_beyond, nodes=600):
+def slips(name, depth_m, frames, sliding_beyond):
     """Of every frame of a drag; after some of them an outer ring of the contact stays behind."""
     path, away = press(name, depth_m)
     radius = sliding_beyond * away[path.touching].max()
@@ -22,7 +22,7 @@ def slips(name, depth_m, frames, sliding_beyond, nodes=600):
         late = max(0, k - STICKING) / max(k, 1)
         lost = np.where(away > radius, late, 0.0)
         motions.append(Motion(np.array([drag, 0.3 * drag, 0.0]), 10.0 * drag, lost))
-    eyes, found = Eyes(nodes), []
+    eyes, found = Eyes(1000), []
     for seed, truth in enumerate(path.along(motions)):
         frame = eyes.see(truth, seed)
         found.append(eyes.pipeline.process(frame, frozenset({"slip"})).slip)
@@ -65,7 +65,7 @@ def test_slip_by_coulombs_law_until_all_of_the_patch_slides(name, depth_m, poses
 @pytest.mark.long
 def test_slip_of_a_contact_of_few_nodes_is_told_or_unknown():
     """A ball touches a circle 11 mm across, on a mesh with edges of 3 mm; 4 mm of it stick."""
-    found = slips("sphere", 0.004, STICKING + 2, 0.4, 1000)
+    found = slips("sphere", 0.004, STICKING + 2, 0.4)
     assert all(slip is not None and slip.share == 0.0 for slip in found[1:-1])
     assert found[-1] is None or found[-1].share > 2.0 * found[-1].share_sigma
 
@@ -79,7 +79,7 @@ def test_no_alarm_while_everything_sticks():
 def test_no_alarm_by_errors_of_facets():
     """A ball that turns brings other facets to each place; the flow is better than they are."""
     path, _ = press("sphere", 0.010)
-    eyes, found = Eyes(), []
+    eyes, found = Eyes(1000), []
     motions = [Motion(np.zeros(3), np.radians(4.0 * k)) for k in range(4)]
     for k, truth in enumerate(path.along(motions)):
         frame = eyes.see(truth, k, flow_px=0.01)
@@ -91,7 +91,7 @@ def test_no_alarm_by_errors_of_facets():
 def test_slip_is_measured_from_the_same_contact_only():
     """A jump or an outage may have led to another contact; frames left out in playback have not."""
     path, _ = press("puck", 0.005)
-    eyes = Eyes(300)
+    eyes = Eyes()
     motions = [Motion(k * STEP_M * np.array([1.0, 0.3, 0.0]), 0.0) for k in range(4)]
     frames = [eyes.see(truth, k) for k, truth in enumerate(path.along(motions))]
 
@@ -126,7 +126,7 @@ def test_slip_is_unknown_after_all_of_a_patch_has_slipped():
         behind += inwards > sticks  # steps that a node did not follow
         drag = max(1, k) * STEP_M * np.array([1.0, 0.3, 0.0])
         motions.append(Motion(drag, lost=behind / max(1, k)))
-    eyes = Eyes()
+    eyes = Eyes(1000)
 
     def found(truth, seed):
         frame = eyes.see(truth, seed)
@@ -148,7 +148,7 @@ def test_a_patch_that_slides_as_a_whole_does_not_seem_to_stick_again():
     motions = [Motion(k * STEP_M * np.array([1.0, 0.3, 0.0]), 0.05 * k) for k in range(9)]
     for k in range(3, 9):
         motions[k] = replace(motions[k], lost=(k - 2) / k * behind)
-    eyes, shares = Eyes(), []
+    eyes, shares = Eyes(1000), []
     for seed, truth in enumerate(path.along(motions)):
         slip = eyes.pipeline.process(eyes.see(truth, seed), frozenset({"slip"})).slip
         shares.append(np.nan if slip is None else slip.share)
@@ -163,7 +163,7 @@ def test_slip_is_unknown_after_too_few_points_were_left_to_compare_with():
     """What moves together from then on may stick or slide."""
     wide, _ = press("puck", 0.005)
     narrow, _ = press("sphere", 0.001)
-    eyes, still = Eyes(), Motion(np.zeros(3))
+    eyes, still = Eyes(1000), Motion(np.zeros(3))
 
     def found(path, seed):
         frame = eyes.see(next(iter(path.along([still]))), seed)
