@@ -118,7 +118,7 @@ class Identified(Summary):
             A file exists or cannot be written; then nothing is written.
         """
         out, folder = Path(out), None if report is None else Path(report)
-        output_files(out, folder, overwrite=overwrite)
+        output_files(out, folder, overwrite=overwrite)  # refused before a press is simulated
         if self.found.reference_force is None:
             with OneBlasThread():
                 self.found = with_force(self.found)

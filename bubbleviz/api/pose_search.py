@@ -16,7 +16,7 @@ from bubbleviz.progress import Progress
 from bubbleviz.result import Result
 
 _MOST_HELD = 64
-"""Most frames that wait: 2 s at 30 Hz, and up to 165 MB with images of 640 × 480 pixels."""
+"""Most frames that wait, a bound of memory: 2 s at 30 Hz, up to 165 MB of 640 × 480 pixels."""
 
 
 def with_poses(

@@ -124,7 +124,7 @@ class Solver:
         starts: np.ndarray,
         known: Solution | None = None,  # kept unless another solution is more likely
         *,
-        refine: bool = False,  # compare with it after refinement, which may make others likely
+        refine: bool = False,  # compare it with refined solutions, and list it if one is better
     ) -> Solution:
         """Both stages from the best of initial poses (s, 4, 4), which may not fit.
 
@@ -152,9 +152,10 @@ class Solver:
         good += [] if known is None else [known]
         good = sorted(good or refined, key=lambda one: one.fit.cost)
         limit = good[0].fit.cost + _AS_LIKELY
-        # one frame does not refute a pose that was followed to it from others
-        kept = known if refine else None
-        fitting = [one.fit.T_B_O for one in good if one.fit.cost < limit or one is kept]
+        # with `refine`, one frame does not refute a pose that was followed to it from others
+        fitting = [
+            one.fit.T_B_O for one in good if one.fit.cost < limit or (refine and one is known)
+        ]
         others = looking_different(model, [*fitting, *candidates[refined_most:]])[1:]
         return good[0]._replace(pose=replace(good[0].pose, others=others))
 

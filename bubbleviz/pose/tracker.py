@@ -203,7 +203,7 @@ class PoseTracker:
     def _next_starts(self, contact: ContactPoints) -> np.ndarray:
         """One or two poses that fit as well, and some not tried yet, more at first; or all."""
         if not len(self._waiting) and not len(self._rivals):
-            self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
+            self._begin_search(contact)
         first = self._motion is None and self._tried == 0
         count = _STARTS_AT_FIRST if first else _STARTS_PER_FRAME
         shift = np.zeros((4, 4))

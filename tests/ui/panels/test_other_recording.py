@@ -137,6 +137,11 @@ def test_another_recording_or_sensor_file_is_overlaid_compared_and_drawn_beside(
     here, *_ = numbers(driver, "|ΔF|")
     force = np.linalg.norm(driver.result.patch.force_n)
     assert here == pytest.approx(0.5 * force, rel=0.15)  # force is proportional to the gauge
+    driver.click(panel.remove)
+    assert panel.result.text() == "" and not panel.start.isEnabled()
+    choose(panel.sensor_file, tmp_path / "other.toml")
+    driver.click(panel.start)
+    driver.wait(lambda: "median" in panel.result.text())
     # nothing of it stays with another source
     driver.click(panel.drawn)
     driver.wait_for_redraw()
