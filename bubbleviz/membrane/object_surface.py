@@ -175,27 +175,42 @@ class ObjectSurface:
         turn: np.ndarray,
         # distance over the object's size below which its turned surface is the same; chosen
         tolerance: float = 2e-3,
+        within_rad: float = np.pi,  # largest angle between the turn and that rotation
     ) -> np.ndarray | None:
         """Rotation (4, 4) in O near a turn (3, 3) that maps the object onto itself; None: none is.
 
         Points of the turned surface are registered to the surface, by rotation about its centroid,
         which every symmetry keeps. A spin that the surface of a round object does not show stays.
         """
-        middle = self.facet_areas @ self._corners.mean(axis=1) / self.facet_areas.sum()
-        arms, R = self.sample(_TURNED_POINTS)[0] - middle, Rotation.from_matrix(turn)
+        middle, arms = self._arms
+        R = Rotation.from_matrix(turn)
+        # no point is farther from the surface than that rotation moves it: most turns end here
+        farthest = within_rad * np.linalg.norm(arms, axis=1) + tolerance * self.size_m
+        if np.any(self._apart_m(R.apply(arms) + middle) > farthest):
+            return None
         for _ in range(_TURNED_STEPS):
             turned = R.apply(arms)
             place, normal = self.closest(turned + middle)
             along = np.einsum("ij,ij->i", place - middle - turned, normal)
             step = np.linalg.lstsq(np.cross(turned, normal), along, rcond=_SPIN)[0]
             R = Rotation.from_rotvec(step) * R
-        turned = R.apply(arms) + middle
-        apart_m = np.linalg.norm(turned - self.closest(turned).place, axis=1)
-        if apart_m.max() > tolerance * self.size_m:
+        apart_m = self._apart_m(R.apply(arms) + middle)
+        moved_rad = (R * Rotation.from_matrix(turn).inv()).magnitude()
+        if apart_m.max() > tolerance * self.size_m or moved_rad > within_rad:
             return None
         found = np.eye(4)
         found[:3, :3], found[:3, 3] = R.as_matrix(), middle - R.apply(middle)
         return found
+
+    @cached_property
+    def _arms(self) -> tuple[np.ndarray, np.ndarray]:
+        """Centroid (3,) of the surface, and vectors (k, 3) from it to points of the surface."""
+        middle = self.facet_areas @ self._corners.mean(axis=1) / self.facet_areas.sum()
+        return middle, self.sample(_TURNED_POINTS)[0] - middle
+
+    def _apart_m(self, points: np.ndarray) -> np.ndarray:
+        """Distances (k,) of points (k, 3) in O from the surface."""
+        return np.asarray(np.linalg.norm(points - self.closest(points).place, axis=1))
 
     @cached_property
     def creases(self) -> Creases | None:

@@ -239,10 +239,7 @@ def looks_alike(model: ObjectSurface, one: np.ndarray, other: np.ndarray) -> boo
     turn, close = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]), np.pi / TURNS
     if turn.magnitude() < close:
         return True
-    symmetry = model.nearest_symmetry(turn.as_matrix(), _ALIKE)
-    if symmetry is None:
-        return False
-    return bool((Rotation.from_matrix(symmetry[:3, :3]) * turn.inv()).magnitude() < close)
+    return model.nearest_symmetry(turn.as_matrix(), _ALIKE, close) is not None
 
 
 def touching_directions(model: ObjectSurface) -> np.ndarray:

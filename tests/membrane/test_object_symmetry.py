@@ -69,3 +69,11 @@ def test_spin_of_a_round_object_stays_and_its_tilt_does_not():
 def test_an_object_turned_otherwise_looks_different(name):
     model = ObjectSurface(study_object(name))
     assert model.nearest_symmetry(Rotation.from_euler("x", 1.5).as_matrix()) is None
+
+
+def test_a_symmetry_is_found_within_an_angle():
+    model = ObjectSurface(prism(5))
+    for symmetry in (*turns(5), *(FLIP * each for each in turns(5))):
+        turn = (OFF * symmetry).as_matrix()
+        assert same(model.nearest_symmetry(turn, within_rad=1.01 * OFF.magnitude()), symmetry)
+        assert model.nearest_symmetry(turn, within_rad=0.99 * OFF.magnitude()) is None
