@@ -8,6 +8,7 @@ is then followed back to the first frame, and ahead.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from copy import copy
 from dataclasses import replace
 
 from bubbleviz.pipeline import Pipeline
@@ -62,13 +63,9 @@ def _found(
     else:
         yield from held
         return
-    if k:
-        earlier = tracker.backward()
-        for j in range(k - 1, -1, -1):
-            frame = held[j].frame
-            back = replace(held[j], frame=replace(frame, time_s=-frame.time_s))
-            held[j] = replace(_with_pose(back, pipeline, earlier), frame=frame)
-        tracker.resume()
+    earlier = copy(tracker)
+    for j in range(k - 1, -1, -1):
+        held[j] = _with_pose(held[j], pipeline, earlier)
     yield from held[: k + 1]
     for result in held[k + 1 :]:
         yield _with_pose(result, pipeline, tracker)

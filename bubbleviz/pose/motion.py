@@ -24,15 +24,10 @@ def motion_between(start: np.ndarray, end: np.ndarray, center: np.ndarray) -> np
     return np.concatenate([shift, Rotation.from_matrix(R, assume_valid=True).as_rotvec()])
 
 
-def _cross_matrix(vector: np.ndarray) -> np.ndarray:
-    x, y, z = vector.tolist()
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def about(center: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Matrix (6, 6) that turns a small motion about `center` into the same one about `other`."""
     change = np.eye(6)
-    change[:3, 3:] = -_cross_matrix(other - center)
+    change[:3, 3:] = np.cross(np.eye(3), other - center).T
     return change
 
 
@@ -109,8 +104,8 @@ class Motion:
         return Motion(self.T_B_O, A[:6, :6] @ self.velocity, covariance, center)
 
     def after(self, dt_s: float) -> Motion:
-        """Predict after some time."""
-        dt = min(max(dt_s, 0.0), _MAX_COAST_S)
+        """Predict after some time, or before if it is negative."""
+        dt = float(np.clip(dt_s, -_MAX_COAST_S, _MAX_COAST_S))
         F = np.kron([[1.0, dt], [0.0, 1.0]], np.eye(6))
         gain = np.array([0.5 * dt**2, dt])
         noise = np.kron(np.outer(gain, gain), np.diag(_ACCELERATION**2))

@@ -11,10 +11,10 @@ yet, and with those that fit as well, until they are refuted; till then its cova
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from bubbleviz.errors import InputError
 from bubbleviz.inverse import Estimator
@@ -26,12 +26,7 @@ from bubbleviz.pose.dual_stage import (
     Solver,
     looks_alike,
 )
-from bubbleviz.pose.motion import (
-    START_DEVIATION,
-    Motion,
-    about,
-    motion_between,
-)
+from bubbleviz.pose.motion import START_DEVIATION, Motion, about, motion_between, moved
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
@@ -84,7 +79,7 @@ class PoseTracker:
         self._good_s, self._good_center, self._tried = 0.0, np.zeros(3), 0
         # poses not tried yet; poses that fit as well
         self._waiting = self._rivals = np.zeros((0, 4, 4))
-        self._waiting_at = np.zeros(3)
+        self._waiting_at, self._compared_m2 = np.zeros(3), 0.0
 
     def update(self, frame: Frame, estimate: Estimate, patch: Patch) -> Pose:
         """Pose in the next frame with its estimate and patch."""
@@ -97,16 +92,6 @@ class PoseTracker:
             return pose
         status = pose.status if np.isnan(self._good).any() else "lost"
         return replace(pose, status=status, T_B_O=self._good)
-
-    def backward(self) -> PoseTracker:
-        """A tracker of the frames before the last one, with negative times, from its pose."""
-        other = copy(self)
-        other._good_s = -self._good_s
-        return other
-
-    def resume(self) -> None:
-        """Continue after frames of the tracker `backward`, which uses the same solver."""
-        self._solver.reset()
 
     def is_unknown(self, time_s: float) -> bool:
         """Whether the object may be in any pose, as for too long none was found, or never."""
@@ -125,18 +110,19 @@ class PoseTracker:
         predicted = self._predicted(frame, contact)
         solution = rejected = None
         if predicted is not None:
-            settled = not (search or len(self._waiting) or len(self._rivals))
+            settled = not (search or self._is_open(contact))
             tracking = settled and self._tried == 0 and self._motion is not None
             solution = self._solver.solve(frame, contact, predicted, tracking=tracking)
             if not self._plausible(solution, frame, contact):
                 solution, rejected = None, solution
-            elif search:
-                self._begin_search(contact)
+            elif self._motion is not None:  # the others move along
+                way = motion_between(self._motion.T_B_O, solution.pose.T_B_O, contact.center)
+                self._carry(way, contact.center)
+            if solution is not None and not settled:
+                if search:
+                    self._begin_search(contact)
                 starts = self._next_starts(contact)
-                solution = self._solver.best(frame, contact, starts, known=solution, refine=True)
-            elif len(self._waiting) or len(self._rivals):
-                starts = self._next_starts(contact)
-                solution = self._solver.best(frame, contact, starts, known=solution)
+                solution = self._solver.best(frame, contact, starts, solution, refine=search)
         if solution is None and (self._motion is not None or self._start is None):
             solution = self._searched(frame, contact)
             if solution.fit.fitness < FOUND_FITNESS:
@@ -154,7 +140,7 @@ class PoseTracker:
         if self._has_jumped(contact, self._motion.T_B_O):
             return Motion.at_rest(self._carried(contact), START_DEVIATION, contact.center)
         gap = frame.time_s - self._good_s
-        if not 0.0 <= gap <= MAX_GAP_S:  # or a jump in the recording, or another one
+        if abs(gap) > MAX_GAP_S:  # or a jump in the recording, or another one
             return Motion.at_rest(self._motion.T_B_O, START_DEVIATION, contact.center)
         return self._motion.after(gap).about(contact.center)
 
@@ -196,6 +182,20 @@ class PoseTracker:
         self._tried += 1
         return self._solver.best(frame, contact, chosen)
 
+    def _is_open(self, contact: ContactPoints) -> bool:
+        """Whether a frame is compared with other poses."""
+        # after all of them only a larger patch: errors of the model are alike from frame to frame
+        larger = not self._thorough or contact.areas_m2.sum() > self._compared_m2
+        return larger and bool(len(self._waiting) or len(self._rivals))
+
+    def _carry(self, motion: np.ndarray, center: np.ndarray) -> None:
+        """Move the other poses by a motion (6,) about a centre (3,)."""
+        self._waiting, self._rivals = (
+            np.reshape([moved(T_B_O, motion, center) for T_B_O in poses], (-1, 4, 4))
+            for poses in (self._waiting, self._rivals)
+        )
+        self._waiting_at = center
+
     def _begin_search(self, contact: ContactPoints) -> None:
         self._waiting, self._waiting_at = self._finder.starts(contact), contact.center
         self._rivals = self._rivals[:0]
@@ -204,12 +204,11 @@ class PoseTracker:
         """One or two poses that fit as well, and some not tried yet, more at first; or all."""
         if not len(self._waiting) and not len(self._rivals):
             self._begin_search(contact)
+        shift = contact.center - self._waiting_at
+        self._carry(np.concatenate([shift, np.zeros(3)]), contact.center)
+        self._compared_m2 = float(contact.areas_m2.sum())
         first = self._motion is None and self._tried == 0
         count = _STARTS_AT_FIRST if first else _STARTS_PER_FRAME
-        shift = np.zeros((4, 4))
-        shift[:3, 3] = contact.center - self._waiting_at
-        self._waiting, self._rivals = self._waiting + shift, self._rivals + shift
-        self._waiting_at = contact.center
         rivals = 2 if len(self._waiting) else 1
         if self._thorough:
             count, rivals = len(self._waiting), len(self._rivals)
@@ -230,11 +229,14 @@ class PoseTracker:
         return replace(solution.pose, others=self._rivals.copy(), covariance=covariance)
 
     def _spread(self, pose: Pose) -> np.ndarray:
-        """Covariance (6, 6) of a pose that any of those not refuted yet may be instead."""
+        """Covariance (6, 6) of a pose that any of those not refuted yet may be instead.
+
+        It is the mean over them, but of many alike the 95 % ellipsoid holds each still.
+        """
         unrefuted, origin = np.concatenate([self._rivals, self._waiting]), pose.T_B_O[:3, 3]
         motions = [motion_between(pose.T_B_O, other, origin) for other in unrefuted]
         ways = np.reshape(motions, (-1, 6)) @ about(origin, pose.center_m).T
-        spread: np.ndarray = ways.T @ ways / (1 + len(ways))
+        spread: np.ndarray = ways.T @ ways / min(1 + len(ways), chdtri(6, 0.05))
         return spread
 
     def _without(self, why: PoseStatus) -> Pose:

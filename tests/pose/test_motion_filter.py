@@ -1,5 +1,7 @@
 """The motion filter against exact motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -61,7 +63,22 @@ def test_motion_length_is_the_longest_displacement_around():
 def test_coasting_ends():
     moving = Motion(np.eye(4), np.array([0.1, 0, 0, 0, 0, 0.0]), np.eye(12), CENTER)
     assert moving.after(60.0).T_B_O[0, 3] < 0.1
-    assert np.allclose(moving.after(-1.0).T_B_O, np.eye(4))
+    assert moving.after(-60.0).T_B_O[0, 3] > -0.1
+
+
+def test_prediction_backward_undoes_that_forward():
+    rate = np.array([0.02, -0.01, 0.0, 0.1, 0.0, -0.3])
+    start = Motion.at_rest(np.eye(4), START_DEVIATION, CENTER)
+    start = replace(start, velocity=rate)
+    there = start.after(0.05)
+    back = there.after(-0.05)
+    np.testing.assert_allclose(back.T_B_O, start.T_B_O, atol=5e-5)
+    np.testing.assert_allclose(back.center, CENTER, atol=5e-5)
+    # where it was is known no better than where it will be
+    assert np.all(np.diag(start.after(-0.05).covariance - start.covariance)[:6] > 0.0)
+    np.testing.assert_allclose(
+        np.diag(start.after(-0.05).covariance), np.diag(there.covariance), rtol=1e-2
+    )
 
 
 def test_coasting_uncertainty_follows_unknown_acceleration():
