@@ -208,15 +208,15 @@ class Solver:
 # Search for initial poses: each face on the patch, at each of several angles about its normal.
 
 
-TURNS = (
-    12  # angles about the patch's normal: 30° apart, within the convergence range of registration
-)
+TURNS = 12
+"""Angles about the patch's normal: 30° apart, within the convergence range of registration."""
 
 _FACES = 8  # of the convex hull, the largest: an object seldom rests on others
 _SAME_FACE = np.cos(np.radians(20.0))  # faces within the convergence range of registration
 _ALIKE = 0.02  # distance over an object's size within which it looks the same; chosen
 _POINTS = 40  # of contact and as many free ones: enough to rank starts
 _CLIPPED_M = 5e-3  # larger distances are clipped
+_SAMPLES = 2_000  # points of an object: on a face of 60 × 60 mm they are some 3 mm apart
 
 
 def looking_different(model: ObjectSurface, poses: Sequence[np.ndarray]) -> np.ndarray:
@@ -274,16 +274,24 @@ def _hull(vertices: np.ndarray) -> ConvexHull | None:
 class InitialPoseFinder:
     """Lists coarse initial poses of one object, best first."""
 
-    def __init__(self, model: ObjectSurface) -> None:
+    def __init__(self, model: ObjectSurface, *, only_middles: bool = False) -> None:
         self._model = model
         self._directions = touching_directions(model)
-        heights = model.obj.vertices @ self._directions.T
-        top = heights > heights.max(axis=0) - 0.02 * model.size_m
-        middle = [
-            0.5 * (own.min(axis=0) + own.max(axis=0))
-            for own in (model.obj.vertices[mask] for mask in top.T)
-        ]
-        self._supports = np.array(middle)
+        points = model.sample(0 if only_middles else _SAMPLES)[0]
+        self._supports = [self._of_face(direction, points) for direction in self._directions]
+
+    def _of_face(self, direction: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Points (s, 3) in O of the face in a direction: its middle, and others near each point."""
+        vertices, size_m = self._model.obj.vertices, self._model.size_m
+        lowest = (vertices @ direction).max() - 0.02 * size_m
+        face, corners = points[points @ direction > lowest], vertices[vertices @ direction > lowest]
+        chosen = [0.5 * (corners.min(axis=0) + corners.max(axis=0))]
+        away_m = np.full(len(face), np.inf)
+        while True:
+            away_m = np.minimum(away_m, np.linalg.norm(face - chosen[-1], axis=1))
+            if away_m.max(initial=0.0) < max(_START_ERROR_M, 0.1 * size_m):
+                return np.array(chosen)
+            chosen.append(face[away_m.argmax()])
 
     def starts(self, contact: ContactPoints) -> np.ndarray:
         """Poses T_B_O (s, 4, 4) with the object on the patch, best first.
@@ -292,13 +300,13 @@ class InitialPoseFinder:
         """
         normal = contact.areas_m2 @ contact.normals
         normal /= np.linalg.norm(normal)
-        poses = np.concatenate(
-            [
-                _on_patch(direction, support, contact.center, normal)
-                for direction, support in zip(self._directions, self._supports, strict=True)
-            ]
-        )
-        return poses[np.argsort(self._scores(poses, contact), kind="stable")]
+        best, scores = [], []
+        for direction, supports in zip(self._directions, self._supports, strict=True):
+            poses = _on_patch(direction, supports, contact.center, normal)
+            score = self._scores(poses.reshape(-1, 4, 4), contact).reshape(-1, TURNS)
+            best.append(poses[score.argmin(axis=0), np.arange(TURNS)])
+            scores.append(score.min(axis=0))
+        return np.concatenate(best)[np.argsort(np.concatenate(scores), kind="stable")]
 
     def _scores(self, poses: np.ndarray, contact: ContactPoints) -> np.ndarray:
         """Mean squared misfit of each pose for some of the points; distances clipped at 5 mm."""
@@ -312,17 +320,18 @@ class InitialPoseFinder:
         inside = np.einsum("ij,ij->i", way, found.normal) < -0.5 * np.linalg.norm(way, axis=1)
         squares = (length**2).reshape(len(poses), -1)
         penetrating = squares[:, len(on) :] * inside.reshape(len(poses), -1)[:, len(on) :]
-        return squares[:, : len(on)].mean(axis=1) + penetrating.sum(axis=1) / max(len(free), 1)
+        score = squares[:, : len(on)].mean(axis=1) + penetrating.sum(axis=1) / max(len(free), 1)
+        return np.round(score, 9)  # equal but for rounding errors: the middle comes first
 
 
 def _on_patch(
-    direction: np.ndarray, support: np.ndarray, center: np.ndarray, normal: np.ndarray
+    direction: np.ndarray, supports: np.ndarray, center: np.ndarray, normal: np.ndarray
 ) -> np.ndarray:
-    """Poses (t, 4, 4) with a direction of O against the membrane, its support at the centre."""
+    """Poses (s, t, 4, 4) with a direction of O against the membrane, a support at the centre."""
     turned, _ = Rotation.align_vectors(-normal[None], direction[None])
     angles = np.arange(TURNS) * 2.0 * np.pi / TURNS
     rotations = (Rotation.from_rotvec(angles[:, None] * normal) * turned).as_matrix()
-    poses = np.tile(np.eye(4), (TURNS, 1, 1))
-    poses[:, :3, :3] = rotations
-    poses[:, :3, 3] = center - rotations @ support
+    poses = np.tile(np.eye(4), (len(supports), TURNS, 1, 1))
+    poses[..., :3, :3] = rotations
+    poses[..., :3, 3] = center - np.einsum("tij,sj->sti", rotations, supports)
     return poses

@@ -66,7 +66,7 @@ class PoseTracker:
         self.model = ObjectSurface(obj)
         registration = Registration(self.model, precision_of(estimator))
         self._solver = Solver(registration, estimator, membrane)
-        self._finder = InitialPoseFinder(self.model)
+        self._finder = InitialPoseFinder(self.model, only_middles=not thorough)
         self._mesh, self._thorough = estimator.mesh, thorough
         self.reset(start)
 

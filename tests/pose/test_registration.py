@@ -297,6 +297,27 @@ def test_initial_poses_cover_all_rotations():
         assert np.linalg.norm(starts[near, :3, 3] - T[:3, 3]) < 1e-3
 
 
+@pytest.mark.parametrize("side", [(1.0, 1.0), (-1.0, 1.0), (0.0, 0.0)])
+def test_an_initial_pose_touches_where_the_patch_is_on_a_face(side):
+    """A slab touched at a corner or in the middle; beyond it the membrane rises."""
+    slab = ObjectSurface(plate(half=0.02))
+    around = np.linspace(-0.012, 0.012, 13)
+    x, y = (axis.ravel() for axis in np.meshgrid(around, around))
+    places = np.column_stack([x + 0.016 * side[0], y + 0.016 * side[1], 0.0 * x])
+    beyond = np.maximum(np.abs(places[:, :2]).max(axis=1) - 0.02, 0.0)
+    near = np.maximum(np.abs(x), np.abs(y)) < 7e-3
+    on, free = near & (beyond == 0.0), ~near | (beyond > 0.0)
+    places[:, 2] = np.where(beyond > 0.0, 2e-3, np.where(near, 0.0, -2e-3))
+    T = pose()
+    points, normals = places @ T[:3, :3].T + T[:3, 3], np.tile([0.0, 0.0, -1.0], (on.sum(), 1))
+    contact = contact_of(points[on], normals @ T[:3, :3].T, points[free])
+    starts = InitialPoseFinder(slab).starts(contact)
+    tilt = starts[:, :3, 2] @ T[:3, 2]  # the slab looks the same after quarter turns
+    apart = [motion_between(T, start, contact.center) for start in starts[tilt > 0.99]]
+    off = [np.linalg.norm(motion[:3]) for motion in apart if np.linalg.norm(motion[3:]) < 0.3]
+    assert min(off) < 6e-3
+
+
 def test_opposite_motions_cancel():
     T, center = pose(), np.array([0.01, 0.02, 0.03])
     motion = np.array([1e-3, 2e-3, -3e-3, 0.1, -0.2, 0.3])
