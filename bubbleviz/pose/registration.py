@@ -93,7 +93,8 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
     at_rest = np.einsum("qj,tjk->tqk", _CENTRES, mesh.nodes[triangles]).reshape(-1, 3)
     spread = share[on] @ np.sum((points[on] - center) ** 2, axis=1) / share[on].sum()
     off = np.flatnonzero(level <= 0.0)
-    free = _thinned(off[_within(points[off], points[on], _REACH_M)])
+    away_m, _ = cKDTree(points[on]).query(points[off], distance_upper_bound=_REACH_M)
+    free = _thinned(off[np.isfinite(away_m)])
     kept = _thinned(on)
     return ContactPoints(
         points=points[kept],
@@ -115,12 +116,6 @@ def contact_points(mesh: MembraneMesh, estimate: Estimate, patch: Patch) -> Cont
 def _thinned(index: np.ndarray) -> np.ndarray:
     """Some of the points, evenly spread in the mesh's own order."""
     return index[:: max(1, -(-len(index) // _MAX_POINTS))]
-
-
-def _within(points: np.ndarray, others: np.ndarray, reach: float) -> np.ndarray:
-    """Which points (k, 3) have one of the others closer than `reach`."""
-    distance, _ = cKDTree(others).query(points, distance_upper_bound=reach)
-    return np.isfinite(distance)
 
 
 # Distance of points from the surface of an object at a pose, and its gradient.
