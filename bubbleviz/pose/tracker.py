@@ -231,12 +231,13 @@ class PoseTracker:
     def _spread(self, pose: Pose) -> np.ndarray:
         """Covariance (6, 6) of a pose that any of those not refuted yet may be instead.
 
-        It is the mean over them, but of many alike the 95 % ellipsoid holds each still.
+        It is the mean over them, but of many the 95 % ellipsoid holds each, with the six units of
+        χ² that are expected of its own error.
         """
         unrefuted, origin = np.concatenate([self._rivals, self._waiting]), pose.T_B_O[:3, 3]
         motions = [motion_between(pose.T_B_O, other, origin) for other in unrefuted]
         ways = np.reshape(motions, (-1, 6)) @ about(origin, pose.center_m).T
-        spread: np.ndarray = ways.T @ ways / min(1 + len(ways), chdtri(6, 0.05))
+        spread: np.ndarray = ways.T @ ways / min(1 + len(ways), chdtri(6, 0.05) - 6.0)
         return spread
 
     def _without(self, why: PoseStatus) -> Pose:
