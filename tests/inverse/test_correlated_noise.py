@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from scipy.special import chdtri
 
 import bubbleviz as bv
 from bubbleviz.pipeline import Pipeline
@@ -43,6 +44,17 @@ def with_noise(frame, k, noise, width_px, relative):
     return replace(frame, index=k, time_s=k / 30.0, depth_m=depth_m.astype(np.float32))
 
 
+def correlated_in_time(frame, count, seed):
+    """Images whose noise has a correlation of 0.8 to the power of the frames between them."""
+    random, kept, frames = np.random.default_rng(seed), 0.8, []
+    noise = random.standard_normal(frame.depth_m.shape)
+    for k in range(count):
+        new = random.standard_normal(noise.shape)
+        noise = kept * noise + np.sqrt(1.0 - kept**2) * new
+        frames.append(with_noise(frame, k, noise, WIDTH_PX, RELATIVE))
+    return frames
+
+
 def recording(width_px=WIDTH_PX):
     """Frames without contact, then one of each press; and their forces."""
     (rest, *pressed), forces = exact()
@@ -63,14 +75,19 @@ def test_frames_of_a_recording_without_contact_have_none():
 
 def test_noise_that_is_correlated_in_time_is_no_contact():
     """The images at the start then tell less of the errors of later ones than their number says."""
-    rest, random, kept = exact()[0][0], np.random.default_rng(5), 0.8
-    noise, frames = random.standard_normal(rest.depth_m.shape), []
-    for k in range(100):
-        new = random.standard_normal(noise.shape)
-        noise = kept * noise + np.sqrt(1.0 - kept**2) * new
-        frames.append(with_noise(rest, k, noise, WIDTH_PX, RELATIVE))
-    run = bv.estimate(frames, rubber_dome())
+    run = bv.estimate(correlated_in_time(exact()[0][0], 100, 5), rubber_dome())
     assert np.count_nonzero(run.status == "no_contact") >= 99
+
+
+def test_what_frames_tell_of_the_image_holds_the_truth_where_noise_is_correlated_in_time():
+    """Together they tell as much as 1.7 independent ones."""
+    rest, squares = exact()[0][0], 0.0
+    for seed in range(3):
+        frames = correlated_in_time(rest, 15, seed)
+        zeros = zeros_of(HeldFrames(frames), Pipeline.of(rubber_dome()))
+        known = zeros.applied(frames[-1]).image_errors
+        squares += known.mean @ np.linalg.solve(known.covariance, known.mean)
+    assert squares < chdtri(3 * len(known.mean), 0.01)
 
 
 def test_later_frames_of_a_stream_without_contact_have_none():
@@ -100,10 +117,11 @@ def test_deep_presses_that_differ_in_all_frames_are_no_noise():
     camera |= {"position_m": (0.0, 0.0, -0.062), "noise_relative": 0.0015}
     membrane = {"rim_radius_m": 0.04, "height_m": 0.028, "nodes": 400}
     steep = changed(rubber_dome(), membrane=membrane, camera=camera)
-    poses = np.tile(np.eye(4), (5, 1, 1))
-    poses[:, 2, 3] = [0.06, 0.06, 0.0195, 0.014, 0.0085]  # of the ball's lowest point
+    poses, turn = np.tile(np.eye(4), (6, 1, 1)), 4.0 * np.pi / 5.0 * np.arange(5)
+    poses[1:, 0, 3], poses[1:, 1, 3] = 0.01 * np.cos(turn), 0.01 * np.sin(turn)
+    poses[:, 2, 3] = [0.06, 0.014, 0.0085, 0.0115, 0.010, 0.013]  # of the ball's lowest point
     press = bv.simulate(steep, "sphere", poses, noise_relative=0.0015)
     run = bv.estimate(list(press), steep)
-    assert run.status.tolist() == 2 * ["no_contact"] + 3 * ["ok"]
-    forces = [press.truth(k).force_n for k in range(5)]
+    assert run.status.tolist() == ["no_contact"] + 5 * ["ok"]
+    forces = [press.truth(k).force_n for k in range(6)]
     assert run.force_n == pytest.approx(np.array(forces), abs=0.1)
