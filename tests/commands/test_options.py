@@ -55,7 +55,7 @@ def test_pose_command_has_the_name_of_the_api_function_as_alias():
     [
         ("simulate --sensor S --object sphere --pose POSE", "new.mcap"),
         ("estimate REC --sensor S --csv CSV", "new.npz"),
-        ("pose REC --sensor S --object cylinder", "new.csv"),
+        ("pose REC --sensor S --object cylinder --init POSE", "new.csv"),
         ("export REC --sensor S", "new.csv"),
         ("export REC --sensor S --what ply,depth", "folder"),
         ("export REC --sensor S --what lerobot", "folder"),

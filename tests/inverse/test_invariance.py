@@ -11,13 +11,28 @@ from bubbleviz.zeros import zeros_of
 PATCH = frozenset({"patch"})
 
 
+@pytest.fixture(scope="module")
+def frames(punyo_press):
+    """Of the onset and of the hold."""
+    with Recording(punyo_press) as recording:
+        return {k: recording[k] for k in (*range(60, 71), *range(72, 90))}
+
+
+@pytest.fixture(scope="module")
+def used_pipeline(frames):
+    return Pipeline.of(load_sensor("punyo_oval_d405"), frames[72].intrinsics)
+
+
+@pytest.fixture
+def pipeline(used_pipeline):
+    used_pipeline.restart()
+    return used_pipeline
+
+
 @pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
-def test_warm_starts_of_the_real_press(punyo_press):
+def test_warm_starts_of_the_real_press(pipeline, frames):
     """Held frames, played and after jumps from before, within and after the hold, and alone."""
     hold = range(72, 90, 2)
-    with Recording(punyo_press) as recording:
-        frames = {k: recording[k] for k in (62, 68, *range(72, 90))}
-    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[72].intrinsics)
 
     def found(*way):
         pipeline.restart()
@@ -34,21 +49,17 @@ def test_warm_starts_of_the_real_press(punyo_press):
     assert np.mean(areas < 0.03) >= 0.9  # 0.95 is asked; 0.96 found
 
 
-def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(punyo_press):
+def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(pipeline, frames):
     """From the first frame of the contact, a part of the contact far from it stayed before."""
-    with Recording(punyo_press) as recording:
-        first, frame = recording[62], recording[78]
-    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frame.intrinsics)
-    alone = force_of(pipeline.process(frame, PATCH))
+    alone = force_of(pipeline.process(frames[78], PATCH))
     pipeline.restart()
-    pipeline.process(first, PATCH)
-    assert force_of(pipeline.process(frame, PATCH)) == pytest.approx(alone, rel=0.01)
+    pipeline.process(frames[62], PATCH)
+    assert force_of(pipeline.process(frames[78], PATCH)) == pytest.approx(alone, rel=0.01)
 
 
-def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
+def test_a_frame_of_the_real_onset_has_one_force(pipeline, punyo_press):
     """Alone, after its predecessor or successor, and again from its own solution."""
     with Recording(punyo_press) as recording:
-        pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), recording.intrinsics)
         zeros = zeros_of(recording, pipeline)
         frames = {k: zeros.applied(recording[k]) for k in range(61, 70)}
 
@@ -71,19 +82,16 @@ def test_a_frame_of_the_real_onset_has_one_force(punyo_press):
     assert np.allclose(areas, 1.0, atol=0.15)
 
 
-def test_frames_of_the_onset_are_also_solved_in_playback(punyo_press):
+def test_frames_of_the_onset_are_also_solved_in_playback(pipeline, frames):
     """Contacts of two to nine nodes, whose images fit no shape to the noise.
 
     While the press is loaded the camera's filter mixes images.
     """
-    with Recording(punyo_press) as recording:
-        frames = [recording[k] for k in range(60, 71)]
-    pipeline = Pipeline.of(load_sensor("punyo_oval_d405"), frames[0].intrinsics)
-    played = [pipeline.process(frame, PATCH) for frame in frames][3:]
+    played = [pipeline.process(frames[k], PATCH) for k in range(60, 71)][3:]
     alone = []
-    for frame in frames[3:]:
+    for k in range(63, 71):
         pipeline.restart()
-        alone.append(pipeline.process(frame, PATCH))
+        alone.append(pipeline.process(frames[k], PATCH))
     assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
     for value, median, most in (
         (normal_of, 0.01, 0.03),

@@ -89,14 +89,12 @@ def test_killed_solver_process_is_reported_and_others_end_with_the_window(open_b
         connect_two(bench, port)
         bench.wait_for_frames()
         before = bench.shown_frame
-        for child in active_children():
-            os.kill(child.pid, signal.SIGKILL)
+        os.kill(active_children()[0].pid, signal.SIGKILL)
         bench.wait_for_message("its solver process has ended", "code -9")
         bench.wait_for_frames(2)
-        assert none_left()
+        assert in_use() == 1
         known = bench.state.history.values["latency_ms"][before : bench.shown_frame]
         assert np.isfinite(known).all()  # including the frame in progress
-        connect_two(bench, port)
         bench.window.live.leave.click()
         bench.wait(none_left)
         connect_two(bench, port)
