@@ -92,8 +92,8 @@ def contact_samples(model: ObjectSurface, spacing_m: float) -> tuple[np.ndarray,
         kept = _thinned(points, spacing_m)
         return points[kept], normals[kept]
     edge = np.asarray(model.creases.tree.data)
-    distance, _ = model.creases.tree.query(points)
-    clear = distance > 0.5 * spacing_m
+    near = 0.5 * spacing_m
+    clear = np.isinf(model.creases.tree.query(points, distance_upper_bound=near)[0])
     points, normals = points[clear], normals[clear]
     kept, along = _thinned(points, spacing_m), _thinned(edge, 0.5 * spacing_m)
     return (
