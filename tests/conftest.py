@@ -29,6 +29,9 @@ os.environ["HOME"] = _SETTINGS.name  # the RealSense library makes a folder ther
 
 REPOSITORY = Path(__file__).parents[1]
 LONG = (
+    "pose",
+    "shear",
+    "inverse",
     "study",
     "benchmarks",
     "calibration",
