@@ -12,7 +12,7 @@ from bubbleviz_ui.live.connection import single
 from bubbleviz_ui.model.scene_presets import load_scene
 
 COLOUR = "/bubble/color/image_raw"
-RUBBER = small_sensor("rubber dome", prestretch=1.2)
+RUBBER = small_sensor("rubber dome", nodes=80, prestretch=1.2)
 
 
 def connected(live, frames, options, name="played"):
