@@ -429,13 +429,15 @@ def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
     """Whether a contact explains most of the residual of an image that noise explains, too.
 
     Presses that differ in all frames look like noise. But no contact explains three quarters of the
-    squares of noise, as it has far fewer unknowns than there are pixels.
+    squares of noise, even in a fit that is implausible, as it has far fewer unknowns than there are
+    pixels; nor does noise leave a contact to be found.
     """
     alone = replace(frame, gas_pressure_pa=None)
     noise = pipeline.estimate_once(alone)
+    if noise.status != "no_contact":
+        return True
     contact = pipeline.estimate_once(replace(alone, noise=1.0))
-    # `not >=`: NaN, if the fit by noise failed, is no sign of noise
-    return contact.trusted and not contact.residual_rms_m >= 0.5 * noise.residual_rms_m
+    return contact.residual_rms_m < 0.5 * noise.residual_rms_m  # false without a fit: NaN
 
 
 def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:
