@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
+from scipy.special import chdtri
 
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import ObjectSurface, RubberMembrane, area_vectors
@@ -47,6 +48,9 @@ _FINALISTS = 2  # unlike poses of a search, which are refined
 _AS_LIKELY = 2.0 * np.log(20.0)
 """Difference of χ² at which one of two poses is 20 times as likely as the other, which is then
 refuted."""
+_REFUTED = 0.05
+"""Probability that χ² of a true pose exceeds its least by as much, in the directions that the
+contact determines: beyond, the contact refutes a pose found by the depth image."""
 
 
 class Solution(NamedTuple):
@@ -200,7 +204,8 @@ class Solver:
                 break
         assert step is not None  # there is at least one
         seen = self._registration.at(contact, fit, T)
-        if seen.cost > fit.cost + _AS_LIKELY:
+        count = max(float(np.count_nonzero(directed.determined)), 1.0)
+        if seen.cost > fit.cost + float(chdtri(count, _REFUTED)):
             return None
         return predicted.corrected(T, information), step.persistent, seen
 
