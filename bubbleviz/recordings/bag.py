@@ -10,6 +10,7 @@ from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -24,10 +25,14 @@ from bubbleviz.recordings.bag_storage import (
     Storage,
     check_unpacked,
     decompress,
+    table_of,
 )
 from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, begins_as_cdr, header_stamp_ns
 
 UNREADABLE = -1  # instead of the stamp, for a message without a header
+_PART_GAP_NS = -100_000_000, 2_000_000_000
+"""From the end of a part to the start of the next: for topics that arrived out of order, and for
+opening the next file, which takes a recorder less; chosen."""
 MAX_UNREADABLE = 100  # most messages at the start of a topic to search for a readable one
 
 
@@ -100,12 +105,20 @@ class Bag:
     def _open(self) -> None:
         # whether each message is compressed, so that its first bytes need all of it
         self.inflates = False
+        has_metadata = (self.path / "metadata.yaml").exists()  # which names the files
         if self.ros1:
             from rosbags.rosbag1 import Reader
 
             self._storages = [Ros1Storage(self._opened(Reader(self.path)))]
         else:
-            self._storages = [self._ros2_file(file) for file in self._ros2_files()]
+            parts = self._ros2_files(has_metadata=has_metadata)
+            self._storages = [self._ros2_file(file) for file in parts]
+            if len(parts) > 1 and not has_metadata and not _are_parts(parts, self._storages):
+                raise InputError(
+                    f"{self.path}: contains {len(parts)} recordings ({parts[0].name}, "
+                    f"{parts[1].name} …) that are not consecutive parts of one; give one of the "
+                    "files, or estimate each (bubbleviz batch)"
+                )
         counts: Counter[tuple[str, str]] = Counter()
         for connection in (each for storage in self._storages for each in storage.connections):
             counts[str(connection.topic), str(connection.msgtype)] += int(connection.msgcount)
@@ -141,10 +154,10 @@ class Bag:
         self._open_files.callback(reader.close)
         return reader
 
-    def _ros2_files(self) -> list[Path]:
+    def _ros2_files(self, *, has_metadata: bool) -> list[Path]:
         if self.path.is_file():
             return [self.path]
-        if (self.path / "metadata.yaml").exists():
+        if has_metadata:
             check_unpacked(self.path)
             folder = self._opened(_folder_reader()(self.path))
             self.inflates = folder.metadata.compression_mode == "message"
@@ -157,6 +170,24 @@ class Bag:
                 "convert)"
             )
         return files
+
+
+def _are_parts(files: list[Path], storages: list[Storage]) -> bool:
+    """Whether files are parts of one recording, by names as of rosbag2 (NAME_0, …) and times."""
+    names = [file.stem.rpartition("_") for file in files]
+    if len({name for name, *_ in names}) > 1 or not all(each[-1].isdecimal() for each in names):
+        return False
+    ranges = []
+    for k in sorted(range(len(files)), key=lambda k: int(names[k][-1])):
+        rows = [storages[k].entries(connection.id) for connection in storages[k].connections]
+        times_ns = np.concatenate([table_of([]), *rows])[:, 0]
+        if len(times_ns):  # an interrupted recorder may have just begun the last part
+            ranges.append((int(times_ns.min()), int(times_ns.max())))
+    least, most = _PART_GAP_NS
+    return all(
+        before[0] < after[0] and least <= after[0] - before[1] <= most
+        for before, after in pairwise(ranges)
+    )
 
 
 @cache

@@ -1,6 +1,7 @@
 """Recordings written by another program are read correctly."""
 
 import io
+import os
 
 import numpy as np
 import psutil
@@ -19,6 +20,8 @@ from bagmaker import (
 )
 from compressed_depth import compressed
 
+from bubbleviz.api.batching import find_recordings
+from bubbleviz.api.frames import info
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording, bag_storage as chunks
 
@@ -87,18 +90,52 @@ def test_compressed_depth_that_cannot_be_read_is_refused(tmp_path, cut, more, sa
         Recording(path)
 
 
-def test_a_bag_split_over_files_is_one_recording(tmp_path):
-    for part in (1, 0):
-        bag = BagMaker("mcap file")
-        for k in range(3 * part, 3 * part + 3):
-            bag.image(START + k * PERIOD, depth_image(k))
-        bag.write(tmp_path, f"rec_{part}")
-    for leftover in ("rec_0", "rec_1"):
-        (tmp_path / leftover / "metadata.yaml").unlink()
-        (tmp_path / leftover).rmdir()
+def write_files(folder, starts, kind="mcap file"):
+    """Three frames in each file, from the time of a frame on; no metadata."""
+    for name, start in starts.items():
+        bag = BagMaker(kind)
+        for k in range(start, start + 3):
+            bag.image(START + k * PERIOD, depth_image(k % 9))
+        bag.write(folder, name)
+        (folder / name / "metadata.yaml").unlink()
+        (folder / name).rmdir()
+
+
+@pytest.mark.parametrize("kind", ["mcap file", "db3 file"])
+def test_a_bag_split_over_files_is_one_recording(tmp_path, kind):
+    write_files(tmp_path, {"rec_10": 3, "rec_9": 0}, kind)
     with Recording(tmp_path) as recording:
         for k in range(6):
             np.testing.assert_array_equal(recording[k].depth_m, depth_image(k))
+
+
+def test_a_split_bag_whose_last_file_has_no_message_yet_is_one_recording(tmp_path):
+    write_files(tmp_path, {"rec_0": 0, "rec_1": 3, "rec_2": 6})
+    os.truncate(tmp_path / "rec_2.mcap", 300)
+    with Recording(tmp_path) as recording:
+        assert len(recording) == 6
+
+
+@pytest.mark.parametrize(
+    "starts",
+    [
+        {"press0": 0, "press1": 3},
+        {"press_0": 0, "press_1": 0},  # at the same time
+        {"press_0": 3, "press_1": 0},
+        {"press_0": 0, "press_1": 300},  # ten seconds later
+        {"a_0": 0, "b_1": 3},
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("kind", ["mcap file", "db3 file"])
+def test_a_folder_of_separate_recordings_is_refused(tmp_path, starts, kind):
+    """Else frames of all of them would be interleaved as those of one."""
+    write_files(tmp_path, starts, kind)
+    for open_folder in (Recording, info):
+        with pytest.raises(InputError, match="give one of the files") as refused:
+            open_folder(tmp_path)
+        assert str(tmp_path) in str(refused.value) and min(starts) in str(refused.value)
+    assert len(find_recordings(tmp_path)) == 2
 
 
 def test_stamps_out_of_order_are_sorted(tmp_path):
