@@ -45,6 +45,8 @@ def as_input_error(
             reason = "it is nested too deeply"
         if isinstance(error, PermissionError):
             remedy = "allow reading it"
+        if isinstance(error, IsADirectoryError):
+            reason, remedy = "it is a folder", "give a file"
         remedy = remedy or "copy the recording again, or record again without that problem"
         raise InputError(f"{path}: {what} cannot be read ({reason}); {remedy}") from error
 
