@@ -293,6 +293,12 @@ class Recording:
         if raw:  # those cut by less than a header's length are found only by reading
             shorter = np.flatnonzero(~bad & (sizes < np.median(sizes)))
             bad[shorter] = [not self._is_whole(k) for k in shorter.tolist()]
+        if bad.all():
+            raise InputError(
+                f"{self.path}: all messages on {self.depth_topic.name} are damaged: their "
+                f"{np.median(sizes):.0f} bytes do not make an image of {size_text(self.size)} "
+                f"pixels in {self.encoding}; check the driver of the camera, and record again"
+            )
         self._bad = frozenset(np.flatnonzero(bad[self._order]).tolist())
         self._empty = np.full(self.size[::-1], np.nan, np.float32)  # image of a bad frame
         self._empty.flags.writeable = False

@@ -288,6 +288,17 @@ def test_all_zero_depth(bench, value, encoding):
     bench.refused("estimate", bench.recording.name, "no valid depth in any frame")
 
 
+def test_images_shorter_than_their_header_says(bench):
+    """As of a driver that announces floats and sends millimetres of two bytes."""
+    bag = BagMaker("mcap file")
+    for k, pixels in enumerate(GOOD):
+        millimetres = (1e3 * pixels).astype(np.uint16).view(np.uint8).ravel()
+        bag.image(START + k * 10**8, pixels, data=millimetres)
+    bench.recording = bag.write(bench.folder)
+    for words in (*COMMANDS.values(), ("info", "REC"), ("check", "REC", "--sensor", "SENSOR")):
+        bench.refused(words, bench.recording.name, "all messages on /cam/depth/image", "32×24")
+
+
 def test_depth_that_never_meets_the_membrane(bench):
     """A column of pixels at the image's edge looks past the dome: returns, but none on it."""
     images = np.zeros((3, 24, 32), np.float32)
