@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bubbleviz.camera import UPPER_95
+from bubbleviz.inverse import FRICTION, LINEAR, PAPER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, gas_warning
 from bubbleviz.result import Result
@@ -83,11 +84,18 @@ class FrameWarnings:
                 "identify the sensor again, or turn off spatial filters of the camera"
             )
         yield self._drift_warning()
-        if self._frames_over:
+        friction = self._pipeline.options.friction
+        frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
+        if frictionless and friction not in (0.0, FRICTION):
+            yield (
+                f"the linear membrane has no friction, so --friction {friction:g} changes nothing; "
+                "leave it out, or choose a sensor file with a pre-stretch (and no --solver)"
+            )
+        elif self._frames_over:
             yield (
                 f"friction in {count_of(self._frames_over, 'frame')} is at least "
                 f"{self._most_friction:.2g} of the normal force, more than the expected "
-                f"coefficient of {self._pipeline.options.friction:.2g}, so the estimate of "
+                f"coefficient of {friction:.2g}, so the estimate of "
                 "friction is too small: repeat with a larger --friction"
             )
         if self._partly_seen:
@@ -114,20 +122,21 @@ class FrameWarnings:
         if not self._image_errors:
             return ""
         if self._moved > max(1, _CHANCE * self._statuses["ok"]):
-            cause = "the camera drifted, "
-            remedy = "Let the camera warm up, check that it is fixed, or "
+            cause, gas = "the camera drifted, ", self._zeros.gas
             if self._later and self._later_moved <= _CHANCE * self._later:
-                cause = remedy = ""
-            gas = self._zeros.gas
+                cause = ""
             if self._measured_pa is None or (gas is not None and gas.frozen):
                 cause += "the gas pressure, which is not measured, does not follow the gas law, "
-                remedy = "Record the gas pressure, check chamber_volume_m3 and the camera, or "
-            cause += "or " if cause else ""
-            remedy += "identify the sensor again"
+                remedy = "Record the gas pressure, check chamber_volume_m3 and the camera"
+            else:
+                cause += "the measured gas pressure is wrong or late, "
+                remedy = "Check values and stamps of the gas pressure, and that the camera is warm "
+                remedy += "and fixed"
             return (
                 f"depth in {count_of(self._moved, 'frame')} with contact contradicts depth in the "
-                f"contact-free ones: {cause}shape or rubber of the membrane differ from the sensor "
-                f"file; forces in these frames are less certain. {remedy[0].upper()}{remedy[1:]}"
+                f"contact-free ones: {cause}or shape or rubber of the membrane differ from the "
+                "sensor file; forces in these frames are less certain. "
+                f"{remedy}, or identify the sensor again"
             )
         errors, measured = np.median(self._image_errors, axis=0), self._measured_pa is not None
         return drift_warning(errors, self._pipeline, gas_measured=measured)

@@ -208,6 +208,32 @@ def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(sensor
     assert bv.estimate(frames, given).warning is None
 
 
+@pytest.mark.parametrize("wrong", ["share", "late"])
+def test_wrong_gas_pressure_is_named_where_it_is_measured(sensor, wrong):
+    """The images contradict it as they would after a drift of the camera."""
+    heights = [0.060] * 18 + np.linspace(0.049, 0.036, 10).tolist()
+    given = list(small_source(sensor, heights))
+    measured = np.array([each.gas_pressure_pa for each in given])
+    pressures = 0.5 * (measured + measured[0]) if wrong == "share" else np.roll(measured, 5)
+    pressures[:18] = measured[:18]
+    frames = [
+        replace(each, gas_pressure_pa=float(pa)) for each, pa in zip(given, pressures, strict=True)
+    ]
+    warning = bv.estimate(frames, sensor).warning
+    assert "the measured gas pressure is wrong or late" in warning and "Check values" in warning
+    assert bv.estimate(given, sensor).warning is None
+
+
+def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, sensor):
+    rubber = changed(bv.load_sensor(sensor), membrane={"prestretch": 1.2})
+    said = "--friction 0.5 changes nothing"
+    for solver in ("linear", "fast", "paper"):
+        assert said in bv.estimate(frames[:2], sensor, friction=0.5, solver=solver).warning
+    assert said in bv.track(frames, "cylinder", sensor, friction=0.5).warning
+    for other, friction in ((sensor, None), (sensor, 0.0), (rubber, 0.5)):
+        assert said not in (bv.estimate(frames[:2], other, friction=friction).warning or "")
+
+
 def test_pixels_without_return_may_be_zero(frames, sensor, estimated):
     """As in frames of plug-ins, which the page on them allows."""
     lost = np.random.default_rng(3).random(frames[0].depth_m.shape) < 0.05
