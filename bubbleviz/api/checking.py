@@ -68,10 +68,9 @@ def check(
     >>> bv.check(bv.open("rest.mcap"), "mine.toml").verdict
     'fits'
     """
-    chosen = as_frames(frames)
-    name, own, intrinsics = sensor_for(chosen, sensor)
-    source = CachedFrames(chosen)
-    with OneBlasThread():
+    with as_frames(frames) as chosen, OneBlasThread():
+        name, own, intrinsics = sensor_for(chosen, sensor)
+        source = CachedFrames(chosen)
         if isinstance(contact_free, str):
             contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
         free = contact_free or find_contact_free(source, progress).frames
@@ -80,7 +79,7 @@ def check(
             found = check_sensor(SensorModel.of(own, intrinsics), some)
         except InputError as error:
             raise InputError(f"{shown_name(chosen.source)}: {error}") from error
-    fields = {**vars(found), "rows": (*found.rows, *_temperature(chosen.source))}
+        fields = {**vars(found), "rows": (*found.rows, *_temperature(chosen.source))}
     recording = shown_name(chosen.source)
     return CheckSummary(**fields, recording=recording, sensor=name, warning=chosen.note or None)
 

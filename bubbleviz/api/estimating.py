@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from types import EllipsisType
 from typing import TYPE_CHECKING, Any, Literal, TypedDict, Unpack, overload
@@ -177,8 +178,7 @@ def estimate(
     if csv is not None and out is None:
         raise InputError(f"{csv}: a CSV is written only with a RESULT.npz; set out as well")
     _check_outputs(frames, (out, ".npz"), (csv, ".csv"), overwrite=overwrite)
-    chosen = as_frames(frames)
-    with OneBlasThread():
+    with as_frames(frames) as chosen, OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
         for path in (out, csv):
             refuse_input(path, *pipeline.model.sensor.files)
@@ -305,8 +305,7 @@ def track(
     if not isinstance(frames, Sequence | Path):
         return _watched(frames, sensor, timeout_s, out, object=obj, init=initial_pose, **solving)
     _check_outputs(frames, (out, ".csv"), overwrite=overwrite)
-    chosen = as_frames(frames)
-    with OneBlasThread():
+    with as_frames(frames) as chosen, OneBlasThread():
         name, pipeline = pipeline_for(chosen, sensor, solver, friction)
         refuse_input(out, *pipeline.model.sensor.files)
         pipeline.track(obj, initial_pose, thorough=True)
@@ -327,13 +326,16 @@ def track(
     return run
 
 
-def as_frames(frames: Frame | Recorded) -> Frames:
-    """Frames as a `Frames` object; opens a path. Raises InputError: no frames."""
+def as_frames(frames: Frame | Recorded) -> AbstractContextManager[Frames]:
+    """Frames as a `Frames` object; a path is opened, and closed after the block.
+
+    Raises InputError: no frames.
+    """
     if isinstance(frames, str | Path):
         return open(frames)
     several = [frames] if isinstance(frames, Frame) else frames
     if isinstance(several, Frames) and len(several):
-        return several
+        return nullcontext(several)
     if not isinstance(several, Sequence):
         raise _no_frames(several)
     if not len(several):

@@ -100,8 +100,8 @@ def export(
     joined = None if poses is None else read_poses(poses)
     plan = ExportPlan.of(out, kinds, joined, overwrite=overwrite)
     refuse_input(out, poses, path_of(frames))
-    options, chosen = patch_options(kappa), as_frames(frames)
-    with OneBlasThread():
+    options = patch_options(kappa)
+    with as_frames(frames) as chosen, OneBlasThread():
         _, pipeline = pipeline_for(chosen, sensor, solver, friction, colour_delay_s)
         refuse_input(out, *pipeline.model.sensor.files)
         if shear:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -245,25 +246,27 @@ def identify(
         for each in files:
             refuse_input(each, *map(path_of, (frames, vented, *levels)))
     name = sensor.name if isinstance(sensor, Sensor) else str(sensor)
-    frames = open(frames) if isinstance(frames, str | Path) else frames
-    check_type("frames", frames, Frames, FrameSource)
-    source, warning = CachedFrames(frames), getattr(frames, "note", None) or None
-    if isinstance(contact_free, str):
-        contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
-    settings = Settings(
-        Step.TENSION,
-        None if contact_free is None else as_ranges(contact_free),
-        surface=surface,
-        nodes=nodes,
-        levels=tuple(_source(each) for each in levels),
-        vented=None if vented is None else _source(vented),
-        level_sigma_pa=level_sigma,
-        **_known_press(source, object, pose, pressed),
-        held_press=held_press,
-        search=False,
-        force=False,
+    opening: AbstractContextManager[FrameSource] = (
+        open(frames) if isinstance(frames, str | Path) else nullcontext(frames)
     )
-    with OneBlasThread():
+    with opening as chosen, OneBlasThread():
+        check_type("frames", chosen, Frames, FrameSource)
+        source, warning = CachedFrames(chosen), getattr(chosen, "note", None) or None
+        if isinstance(contact_free, str):
+            contact_free = parse_frames(contact_free, len(source), source.name, "--contact-free")
+        settings = Settings(
+            Step.TENSION,
+            None if contact_free is None else as_ranges(contact_free),
+            surface=surface,
+            nodes=nodes,
+            levels=tuple(_source(each) for each in levels),
+            vented=None if vented is None else _source(vented),
+            level_sigma_pa=level_sigma,
+            **_known_press(source, object, pose, pressed),
+            held_press=held_press,
+            search=False,
+            force=False,
+        )
         found = Workbench(source, load_sensor(sensor)).work(settings, progress)
     identified = Identified(found, source, name, warning=warning)
     if out is not None:

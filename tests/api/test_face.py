@@ -1,8 +1,11 @@
 """The names of `import bubbleviz`, on small simulated presses and on the real one."""
 
+import gc
 import pickle
 import re
 import sys
+import warnings
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from small_press import HEIGHTS, small_source, write_press
+from small_press import HEIGHTS, record, small_source, write_press
 from trimesh.viewer.notebook import scene_to_html
 
 import bubbleviz as bv
@@ -232,6 +235,30 @@ def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, senso
     assert said in bv.track(frames, "cylinder", sensor, friction=0.5).warning
     for other, friction in ((sensor, None), (sensor, 0.0), (rubber, 0.5)):
         assert said not in (bv.estimate(frames[:2], other, friction=friction).warning or "")
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        bv.estimate,
+        bv.check,
+        lambda path, sensor: bv.track(path, "cylinder", sensor),
+        lambda path, sensor: bv.compare(path, path, sensor),
+        lambda path, sensor: bv.export(path, path.with_suffix(".csv"), sensor),
+        lambda path, sensor: bv.identify(path, sensor, out=path.with_suffix(".toml")),
+        lambda path, sensor: bv.estimate(path, "punyo_oval_d405"),
+    ],
+    ids=["estimate", "check", "track", "compare", "export", "identify", "refused"],
+)
+def test_a_recording_opened_by_a_function_is_closed_by_it(tmp_path, sensor, call):
+    heights = [*20 * (0.060,), *HEIGHTS]
+    path = record(tmp_path / "press.mcap", small_source(sensor, heights))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with suppress(bv.InputError):
+            call(path, sensor)
+        gc.collect()
+    assert not [each for each in caught if each.category is ResourceWarning]
 
 
 def test_pixels_without_return_may_be_zero(frames, sensor, estimated):
