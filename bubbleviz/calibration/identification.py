@@ -191,7 +191,7 @@ class Identification:
 def open_chamber(source: FrameSource) -> Quantity:
     """Absolute gas pressure of the open chamber, Pa: mean over all frames of a recording.
 
-    Raises InputError: fewer than five frames with a gas pressure.
+    Raises InputError: fewer than five frames with a gas pressure, or that is not absolute.
     """
     fewest = 5  # for a mean with a standard error; chosen
     values = np.array([source[k].gas_pressure_pa for k in range(len(source))], float)
@@ -201,8 +201,14 @@ def open_chamber(source: FrameSource) -> Quantity:
             f"{source.name}: only {count_of(len(known), 'frame')} with a gas pressure; record "
             f"{fewest} or more with the chamber open, or leave out the open chamber"
         )
+    mean = float(np.mean(known))
+    if not ATMOSPHERES[0] <= mean <= ATMOSPHERES[1]:
+        raise InputError(
+            f"{source.name}: gas pressure {mean:z.0f} Pa with the chamber open is a gauge pressure,"
+            " or in another unit; record the absolute pressure in Pa, here and at rest"
+        )
     name = f"the open-chamber recording {source.name}"
-    return Quantity.normal(float(np.mean(known)), error_of_mean(known), name)
+    return Quantity.normal(mean, error_of_mean(known), name)
 
 
 def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = None) -> Quantity:
@@ -258,7 +264,7 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     else:
         sigma = float(np.hypot(sigma, in_file - gauge))
         gauge, source = in_file, f"{_FILE}, which has no local atmospheric pressure"
-    if vented is None and not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
+    if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
         raise InputError(
             f"{name}: gas pressure {recorded:.0f} Pa minus the sensor file's gauge pressure "
             f"{gauge:.0f} Pa is not a plausible atmospheric pressure; record the absolute pressure "

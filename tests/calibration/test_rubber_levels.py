@@ -377,3 +377,10 @@ def test_open_chamber_needs_gas_pressures(found, vented):
         opened(replace(found, samples=replace(found.samples, gas_pressure_pa=None)), vented)
     with pytest.raises(InputError, match="chamber open"):
         open_chamber(chamber([None] * 30))
+
+
+@pytest.mark.parametrize("shown", [-0.3, 1013.25])
+def test_gas_pressure_of_the_open_chamber_is_absolute_and_in_pascals(shown):
+    """A gauge pressure sensor shows 0, another absolute one hectopascals."""
+    with pytest.raises(InputError, match=f"^vented: gas pressure {shown:z.0f} Pa .* absolute"):
+        open_chamber(chamber([shown] * 30))
