@@ -57,6 +57,7 @@ class Identification:
     rubber: Mapping[str, Quantity] = field(default_factory=dict)
     why_not: str = "neither levels nor a held press were used"  # to determine λ
     shapes_kind: Literal["press", "levels"] | None = None  # to which the rubber was fitted
+    levels_contradict: bool = False  # no rubber explains their shapes and gas pressures
     # gauge pressure from the shapes alone, and from the sensor file, Pa, where `gauge` is the
     # weighted mean of both
     gauge_candidates: tuple[Quantity, Quantity] | None = None

@@ -323,14 +323,16 @@ class RubberProblem:
 
     # -- least squares --------------------------------------------------------------------------
 
-    def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float]:
+    def fit(self, gauge_sigma: float) -> tuple[np.ndarray, np.ndarray, float] | None:
         """Least squares over the shapes alone, and with a prior of relative σ on G.
 
         Returns for both fits q, G over its initial value, unequal tension and gradient, (2, 7), and
         covariances with model errors, (2, 7, 7); and the robust rms residual of the second, m.
-        Raises InputError: no rubber explains the shapes.
+        None: no rubber has an equilibrium at these pressures.
         """
-        alone, others_m, temper = self._alone()
+        if (start := self._alone()) is None:
+            return None
+        alone, others_m, temper = start
         covariance, _ = self._covariance(alone, others_m, np.inf, temper)
         gain = covariance[0, 1] / (covariance[1, 1] + gauge_sigma**2)  # of q by the prior on G
         square = covariance[0, 0] - gain * covariance[0, 1]
@@ -342,8 +344,11 @@ class RubberProblem:
         unexplained = robust_sigma(self._residuals(vector), center=0.0)
         return both, np.stack([covariance, with_prior]), unexplained
 
-    def _alone(self) -> tuple[np.ndarray, list[np.ndarray], float]:
-        """Fit without a prior on G, errors by other models near it, and the tempering."""
+    def _alone(self) -> tuple[np.ndarray, list[np.ndarray], float] | None:
+        """Fit without a prior on G, errors by other models near it, and the tempering.
+
+        None: no equilibrium.
+        """
         found: tuple[np.ndarray, list[np.ndarray], float] | None = None
         for q in _INITIAL_Q:
             start = np.zeros(self._size)
@@ -368,12 +373,7 @@ class RubberProblem:
             self._friction_forces, expected = kept
             self._expect(expected)
             self._shapes_at, self._slopes = _kept(self._solved), _kept(self._differentiated)
-            return found
-        raise InputError(
-            f"{self._rest.source_name}: no rubber of this shape at rest explains the shapes in"
-            f" {', '.join(each.source_name for each in self._shapes)}; check the"
-            " recorded gas pressures, and the pressures in the sensor file"
-        )
+        return found
 
     def _add_friction(self, vector: np.ndarray) -> None:
         """Set the forces of friction to those of a press found without it.
@@ -683,22 +683,28 @@ def _fitted(
     shapes: Sequence[FrameSamples],  # levels, or a press
     level_sigma_pa: float | None,
 ) -> Identification:
-    """The same with gauge pressure and parameters of the rubber.
+    """The same with gauge pressure and parameters of the rubber, or why they are not determined.
 
-    Raises InputError: no rubber explains the shapes.
+    Raises InputError: as `RubberProblem`.
     """
     names, kind, file = ", ".join(s.source_name for s in shapes), found.shapes_kind, found.gauge
     source = f"the press in {names}" if kind == "press" else f"inflation levels: {names}"
     problem = RubberProblem(found, shapes, level_sigma_pa, pressed=kind == "press")
-    values, covariances, unexplained = problem.fit(file.sigma / file.value)
+    fit = problem.fit(file.sigma / file.value)
     change, rises = problem.change_rms_m, problem.rises_pa
+    unexplained = change if fit is None else fit[2]
     known = replace(found, rises_pa=rises, change_rms_m=change, unexplained_rms_m=unexplained)
-    if unexplained > _MAX_UNEXPLAINED * change:
-        misfit = f"misfit {1e3 * unexplained:.2g} mm rms of a change of {1e3 * change:.2g} mm rms"
-        return replace(known, why_not=f"no rubber of this shape at rest fits: {misfit}")
+    if fit is None or unexplained > _MAX_UNEXPLAINED * change:
+        why_not = (
+            f"no rubber of this shape at rest explains the change to {names}, misfit "
+            f"{1e3 * unexplained:.2g} of {1e3 * change:.2g} mm rms"
+        )
+        return replace(known, levels_contradict=kind == "levels", why_not=why_not)
+    values, covariances, _ = fit
     if values[1, 1] < 1.01 * _MIN_GAUGE:  # a limit of the fit
         less = f"{_MIN_GAUGE * file.value:.0f} Pa or less"
-        return replace(known, why_not=f"the {kind} fit best a gauge pressure at rest of {less}")
+        why_not = f"the {kind} fit best a gauge pressure at rest of {less}"
+        return replace(known, levels_contradict=kind == "levels", why_not=why_not)
     if found.vented is not None:
         source = f"{source}; the gauge pressure from {file.source}"
         return _with_parameters(known, values[1], covariances[1], 1.0, source)

@@ -48,7 +48,8 @@ def grade(found: Identification) -> Grade:
     tension = found.tension
     relative = _relative(tension)
     force = _relative(found.reference_force)
-    if relative > _USABLE or force > _USABLE_FORCE or found.contradicts_file:
+    contradictory = found.contradicts_file or found.levels_contradict
+    if relative > _USABLE or force > _USABLE_FORCE or contradictory:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
 
@@ -87,6 +88,12 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
     """Reasons to grade an identification below good."""
     surfaces = found.surfaces
     out = []
+    if found.levels_contradict:
+        out.append(
+            f"Levels and gas pressures contradict each other: {found.why_not}; γ0 and every force"
+            " may be wrong. Check which pressure belongs to which recording, at rest, of levels"
+            " (--level) and of the open chamber (--vented)."
+        )
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
     given = found.given.pneumatics
@@ -134,7 +141,7 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
             "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
-    if found.shapes_kind and found.prestretch is None:
+    if found.shapes_kind and found.prestretch is None and not found.levels_contradict:
         kept = found.given.membrane.prestretch
         effect = "Forces are by constant tension, and their intervals wide"
         if kept is not None:

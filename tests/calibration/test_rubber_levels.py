@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from small_press import record
 
-from bubbleviz.calibration import Quantity, collect, open_chamber, with_rubber
+from bubbleviz.calibration import Quantity, advice, collect, grade, open_chamber, with_rubber
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, RubberMembrane, inverse_metric, prestressed
 from bubbleviz.recordings import Frame, HeldFrames
@@ -362,6 +362,24 @@ def test_levels_that_do_not_determine_the_prestretch(found, levels):
     kept = with_rubber(found, [wrong])
     assert kept.prestretch is None and "250 Pa or less" in kept.why_not
     assert kept.gauge == found.gauge
+
+
+@pytest.mark.parametrize("mistake", ["swapped", "a level as the open chamber"])
+def test_levels_that_contradict_their_gas_pressures_are_doubtful(found, vented, levels, mistake):
+    """Reported first, however narrow the interval of the gauge pressure is."""
+    air, pressures = vented, [each.gas_pressure_pa for each in levels]
+    if mistake == "swapped":
+        pressures.reverse()
+    else:
+        air = Quantity.normal(float(np.mean(pressures[0])), 1.0, "the low level")
+    shown = [replace(each, gas_pressure_pa=pressures[k]) for k, each in enumerate(levels)]
+    force = Quantity.normal(2.0, 0.04, "a press of 4 mm")
+    kept = replace(with_rubber(opened(found, air), shown), reference_force=force)
+    assert kept.prestretch is None and kept.gauge.half_width < 0.05 * kept.gauge.value
+    assert grade(kept) == "doubtful"
+    assert kept.why_not.startswith("no rubber") and kept.why_not in advice(kept)[1]
+    plain = replace(with_rubber(opened(found, vented), levels), reference_force=force)
+    assert grade(plain) != "doubtful" and "contradict" not in " ".join(advice(plain))
 
 
 def test_open_chamber_of_a_sensor_without_noise(found):
