@@ -10,14 +10,14 @@ from bubbleviz.calibration.rest_frames import FrameSamples, away_from_edges, tra
 from bubbleviz.camera import MAD, DepthCamera, median
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import MembraneMesh
-from bubbleviz.recordings import robust_sigma
+from bubbleviz.recordings import correlated_samples, robust_sigma, spatial_correlation
 
 _MIN_VISIBLE_SHARE = 0.5  # of the dome's area; chosen: the fit extrapolates over the rest
 _SIGNIFICANT = 6.0  # robust standard deviations of the residual
 _MIN_DENT_PIXELS = 20  # chosen: smaller dents are false returns
 _MIN_DENT_SAMPLES = 5.0
-"""Fewest independent samples in a dent. Patches of a camera's fixed pattern have at most one: up to
-250 pixels and 1.2 mm deep on the real camera."""
+"""Fewest independent samples in a dent. Patches of a camera's fixed pattern have at most two: up to
+250 pixels and 1.5 mm deep on the real camera."""
 _DEEP = 1e-2  # of the dome's radius: shallower deviations belong to the dome's shape
 
 
@@ -66,15 +66,19 @@ def _check_no_dent(
 ) -> None:
     """Refuse a dome that is pressed in, as by a contact in every frame.
 
-    The chosen surface is fitted robustly, and too smooth to follow a dent.
+    The chosen surface is fitted robustly, and too smooth to follow more than a part of a dent.
     """
     inner = away_from_edges(filled, samples.statistics.correlation_length_px + 1.0)
     measured = inner & np.isfinite(residual_m)
     least = max(_SIGNIFICANT * robust_sigma(residual_m[measured & membrane]), _DEEP * radius_m)
+    # By the camera, pixels correlate in noise and residual alike. In a press that is not quite
+    # still the whole dome moves, and noise correlates farther; so do residuals of a wrong shape.
+    usual = np.where(measured & membrane & (np.abs(residual_m) < least), residual_m, np.nan)
+    of_residual = correlated_samples(spatial_correlation(usual[None], np.ones_like(usual)))
+    together = min(samples.statistics.correlated_pixels, of_residual)
     known = (measured & membrane) | _steep_dents(measured & ~membrane, -residual_m)
     labels, _ = ndimage.label(known & (residual_m < -least), np.ones((3, 3)))
     sizes = np.bincount(labels.ravel())[1:]
-    together = samples.statistics.correlated_pixels
     if sizes.max(initial=0) < max(_MIN_DENT_PIXELS, _MIN_DENT_SAMPLES * together):
         return
     patch = labels == 1 + np.argmax(sizes)
@@ -82,8 +86,8 @@ def _check_no_dent(
     row, column = (round(float(x)) for x in ndimage.center_of_mass(patch))
     raise InputError(
         f"{samples.source_name}: in the frames taken as contact-free the membrane is pressed in by "
-        f"{1e3 * depth:.1f} mm around pixel ({column}, {row}); record the membrane untouched, or "
-        "choose other frames"
+        f"{1e3 * depth:.1f} mm or more around pixel ({column}, {row}); record the membrane "
+        "untouched, or choose other frames"
     )
 
 

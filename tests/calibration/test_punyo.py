@@ -5,6 +5,7 @@ import pytest
 
 from bubbleviz.calibration import collect, collect_press, with_rubber, write_sensor
 from bubbleviz.camera import PixelModel
+from bubbleviz.errors import InputError
 from bubbleviz.files import file_hash
 from bubbleviz.membrane import build_mesh
 from bubbleviz.pipeline import Pipeline
@@ -52,6 +53,12 @@ def test_gauge_pressure_from_the_press(found, held):
 
 def test_contact_free_frames(press):
     assert abs(find_contact_free(press).frames.stop - 60) <= 3
+
+
+def test_held_press_is_not_taken_as_rest(press, found):
+    """It is not quite still; its largest change of depth from rest, 5.5 mm, is at (259, 289)."""
+    with pytest.raises(InputError, match=r"by 2\.\d mm or more around pixel \(2[56]\d, 2[89]\d\)"):
+        identify(press, found.given, range(70, 90), nodes=600)
 
 
 @pytest.mark.long  # in short: of the twin, in test_identification.py

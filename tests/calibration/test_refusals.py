@@ -10,7 +10,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.progress import Cancelled
 
 from .identified import identify, with_air
-from .twin import ATMOSPHERE, FREE, cast, make_twin, nominal_sensor
+from .twin import ATMOSPHERE, FREE, HEIGHT, cast, make_twin, nominal_sensor
 
 
 @pytest.fixture(scope="module")
@@ -40,6 +40,16 @@ def test_a_dent_of_which_pixels_are_missing(twin, missing):
     depth = twin.depth.copy()
     depth[:, np.random.default_rng(0).random(depth.shape[1:]) < missing] = np.nan
     refused(replace(twin, depth=depth), "pressed in by 4", range(FREE + 8, FREE + 15))
+
+
+def test_a_dent_while_the_whole_dome_moves(twin):
+    """By 0.15 mm rms at the top, as the gas pressure of a held press changes a little."""
+    up = 1e-3 * twin.truth.nodes[:, 2] / HEIGHT
+    moved, still = (cast(twin.truth, twin.camera, x) for x in (up, 0.0 * up))
+    by_millimetre = twin.camera.depth_image(moved - still)
+    shift_mm = 0.15 * np.random.default_rng(2).standard_normal((len(twin), 1, 1))
+    depth = (twin.depth + shift_mm * by_millimetre).astype(np.float32)
+    refused(replace(twin, depth=depth), "pressed in by", range(FREE + 8, FREE + 15))
 
 
 @pytest.mark.parametrize("width", [4e-3, 5e-3])
