@@ -95,8 +95,12 @@ class Solver:
         fit = self._registration.stage_two(contact, first, predicted, iterations=iterations)
         by_image = self._image_fit(frame, contact, fit, predicted, tracking)
         if by_image is None:
-            motion = predicted.corrected(fit.T_B_O, fit.surface)
-            persistent = np.linalg.inv(fit.surface + SEARCH_INFORMATION)
+            # A membrane that fits worse than its errors allow, as at a tip, which the estimate
+            # rounds off, has larger ones (Birge 1932).
+            misfit = fit.rmse_m / self._registration.deviation_m(contact)
+            information = fit.surface / max(1.0, misfit**2)
+            motion = predicted.corrected(fit.T_B_O, information)
+            persistent = np.linalg.inv(information + SEARCH_INFORMATION)
         else:
             motion, persistent, fit = by_image
         unknown = motion.covariance[:6, :6] + persistent

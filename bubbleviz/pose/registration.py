@@ -285,6 +285,11 @@ class Registration:
         share, begun = contact.areas_m2, (first.T_B_O, first.distance)
         return self._fit(contact, share, begun, prior, 2e-3, iterations, around=True)
 
+    def deviation_m(self, contact: ContactPoints) -> float:
+        """Expected distance of contact points from the object, root mean square."""
+        precision = self.precision.at_noise(contact.noise_factor)
+        return float(precision.per_area**-0.5 / precision.resolution_m)
+
     def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
         """A fit moved to another pose (4, 4)."""
         return self._finished(contact, self._at(contact, T_B_O), list(fit.history))

@@ -13,11 +13,13 @@ from bubbleviz.camera import ImageErrors, MembraneView
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import ObjectSurface, build_mesh
 from bubbleviz.pipeline import Pipeline
-from bubbleviz.pose import PoseTracker, looking_different, motion_between, moved
+from bubbleviz.pose import PoseTracker, about, looking_different, motion_between, moved
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Calibration, load_sensor
 from bubbleviz.simulation import DepthNoise, SyntheticSource, study_object, touching_height
 from tests.membrane.domes import pose as upright
+from tests.oracles.rubber_oracle import AxialRubber
+from tests.rubber_renders import GAUGE_PA, at_rest, camera_of, dome_sensor, render
 from tests.small_press import HeldPress, changed
 
 PRODUCTS = frozenset({"pose"})
@@ -403,6 +405,31 @@ def test_covariance_holds_for_a_cylinder_that_tilts_onto_its_edge(sensor):
         assert pose.status == "ok"
         off = motion_between(pose.T_B_O, T, pose.center_m)
         assert off @ np.linalg.solve(pose.covariance, off) < chdtri(6, 0.05)
+
+
+def test_covariance_holds_at_a_tip_that_the_estimate_rounds_off():
+    """A ball of 1.5 mm, 8 mm deep in the dome of an axial solver, is 1 mm off at 1 % of noise."""
+    radius_m, depth_m = 1.5e-3, 8e-3
+    axial = AxialRubber.dome(0.045, 0.029, 1.1, GAUGE_PA)
+    press, camera = axial.press(depth_m, radius_m), camera_of()
+    shape = press.surface(0.045, 0.029, 20_000)
+    gauge_pa = GAUGE_PA + press.gas_pressure_change_pa
+    shapes = at_rest(shape.nodes, 4)
+    images = render("tip", camera, shapes, shape.triangles, gauge_pa, noise_m=6.5e-4)
+    mesh = trimesh.creation.icosphere(4, radius_m)
+    ball = RigidObject("ball", np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    true = upright(0.0, 0.0, axial.height_m - depth_m + radius_m)
+    dome = dome_sensor(camera)
+    dome = changed(dome, membrane={"prestretch": 1.1}, pneumatics={"chamber_volume_m3": 3e-4})
+    pipeline = Pipeline.of(dome)
+    pipeline.track(ball, moved(true, np.array([1e-3, -1e-3, 1e-3, 0.0, 0.0, 0.0]), true[:3, 3]))
+    for k in range(4):
+        pose = pipeline.process(images[k], PRODUCTS).pose
+        assert pose.status == "ok"
+        at_center = about(pose.center_m, true[:3, 3])
+        covariance = (at_center @ pose.covariance @ at_center.T)[:3, :3]
+        off = pose.T_B_O[:3, 3] - true[:3, 3]
+        assert off @ np.linalg.solve(covariance, off) < chdtri(3, 0.05)
 
 
 def test_covariance_holds_for_a_box_that_touches_with_an_edge(sensor):
