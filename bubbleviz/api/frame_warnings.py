@@ -122,21 +122,25 @@ class FrameWarnings:
         if not self._image_errors:
             return ""
         if self._moved > max(1, _CHANCE * self._statuses["ok"]):
-            cause, gas = "the camera drifted, ", self._zeros.gas
-            if self._later and self._later_moved <= _CHANCE * self._later:
-                cause = ""
+            causes, remedies = list[str](), list[str]()
+            if not self._later or self._later_moved > _CHANCE * self._later:
+                causes.append("the camera drifted")
+                remedies.append("let the camera warm up, check that it is fixed")
+            gas = self._zeros.gas
             if self._measured_pa is None or (gas is not None and gas.frozen):
-                cause += "the gas pressure, which is not measured, does not follow the gas law, "
-                remedy = "Record the gas pressure, check chamber_volume_m3 and the camera"
+                causes.append(
+                    "the gas pressure, which is not measured, does not follow the gas law"
+                )
+                remedies.append("record the gas pressure, check chamber_volume_m3")
             else:
-                cause += "the measured gas pressure is wrong or late, "
-                remedy = "Check values and stamps of the gas pressure, and that the camera is warm "
-                remedy += "and fixed"
+                causes.append("the measured gas pressure is wrong or late")
+                remedies.append("check values and stamps of the gas pressure")
+            remedy = ", ".join(remedies)
             return (
                 f"depth in {count_of(self._moved, 'frame')} with contact contradicts depth in the "
-                f"contact-free ones: {cause}or shape or rubber of the membrane differ from the "
-                "sensor file; forces in these frames are less certain. "
-                f"{remedy}, or identify the sensor again"
+                f"contact-free ones: {', '.join(causes)}, or shape or rubber of the membrane "
+                "differ from the sensor file; forces in these frames are less certain. "
+                f"{remedy[0].upper()}{remedy[1:]}, or identify the sensor again"
             )
         errors, measured = np.median(self._image_errors, axis=0), self._measured_pa is not None
         return drift_warning(errors, self._pipeline, gas_measured=measured)

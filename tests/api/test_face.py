@@ -223,7 +223,7 @@ def test_wrong_gas_pressure_is_named_where_it_is_measured(sensor, wrong):
         replace(each, gas_pressure_pa=float(pa)) for each, pa in zip(given, pressures, strict=True)
     ]
     warning = bv.estimate(frames, sensor).warning
-    assert "the measured gas pressure is wrong or late" in warning and "Check values" in warning
+    assert "the measured gas pressure is wrong or late" in warning and "check values" in warning
     assert bv.estimate(given, sensor).warning is None
 
 
