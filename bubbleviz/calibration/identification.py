@@ -96,7 +96,7 @@ class Identification:
         ends = shape.value - low, shape.value + high
         hidden = 1.0 - self.surfaces.visible_share
         part = f", {100 * hidden:.0f} % of it extrapolated," if hidden > 0.01 else ""
-        return Quantity(shape.value, *ends, f"shape{part} and gauge pressure").possible()
+        return Quantity(shape.value, *ends, f"shape{part} and gauge pressure")
 
     @property
     def tension_by_shape(self) -> Quantity:

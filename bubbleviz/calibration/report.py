@@ -113,7 +113,7 @@ def write_sensor(
 
 
 def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
-    sensor, tension, gauge = found.sensor, found.tension, found.gauge.possible()
+    sensor, tension, gauge = found.sensor, found.tension.possible(), found.gauge.possible()
     membrane = sensor.membrane
     if membrane.mesh_file is not None:
         membrane = membrane.model_copy(update={"mesh_file": path.with_suffix(".ply").name})
@@ -161,7 +161,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "versions": versions(),
         "contact_free": {"first": found.samples.frames[0], "last": found.samples.frames[-1]}
         | {"frames": statistics.frames, "effective_frames": statistics.effective_frames},
-        "tension_n_per_m": asdict(found.tension),
+        "tension_n_per_m": asdict(found.tension.possible()),
         "tension_parts_n_per_m": found.tension_parts,
         "tension_by_surface_n_per_m": found.tension_by_surface,
         "tension_per_pascal_m": surfaces.tension_m.value,

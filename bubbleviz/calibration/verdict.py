@@ -57,7 +57,7 @@ def grade(found: Identification) -> Grade:
 def headline(found: Identification, pressure: PressureText = pascals) -> str:
     """The grade and γ0 in one line; `pressure` formats pressures."""
     tension = found.tension
-    value, low, high = tension.texts(2)
+    value, low, high = tension.possible().texts(2)
     force = found.reference_force
     forces = "" if force is None else f"; force of a press ±{_percent(_relative(force))}"
     if forces and found.prestretch is None and found.given.membrane.prestretch is not None:
@@ -182,7 +182,7 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     cut = gauge.possible()
     pressures = tuple(map(pressure, (cut.value, cut.low, cut.high)))
     rows = [
-        ("γ0", _range(found.tension.texts(2), " N/m"), found.tension.source, of_tension),
+        ("γ0", _range(found.tension.possible().texts(2), " N/m"), found.tension.source, of_tension),
         ("gauge pressure", _range(pressures), gauge.source, chamber_text),
     ]
     if found.prestretch is None:
