@@ -36,9 +36,6 @@ _NODE_PIXELS = 10_000  # for the residuals of the nodes: some ten for each
 _TENSION_OFF = 0.1
 """Largest difference of γ0 in a sensor file from Young–Laplace, relative: forces of the linear
 membrane are proportional to γ0, and this is five standard deviations of errors of the model."""
-_MOST_CHAMBER = 1000.0**0.5
-"""Largest chamber in cubes over the rim: a housing behind the membrane holds about one, the same in
-litres a thousand. The geometric mean leaves room for a reservoir."""
 _MAX_BLOCK = 32  # largest side of a block in pixels: larger blocks save no more time
 
 
@@ -70,9 +67,7 @@ class SensorModel:
             raise size_refusal("intrinsics are for", intrinsics.size, sensor.name, own.size)
         if sensor.calibration is not None:
             pixels = PixelModel.load(sensor.resolve(sensor.calibration.pixels_file), shape)
-        mesh = build_mesh(sensor, nodes)
-        _check_chamber(sensor, mesh)
-        return cls(sensor, DepthCamera.of(own, intrinsics), mesh, pixels)
+        return cls(sensor, DepthCamera.of(own, intrinsics), build_mesh(sensor, nodes), pixels)
 
     def __getstate__(self) -> dict[str, Any]:
         """State for pickle, without cached properties, which are three times as large."""
@@ -144,7 +139,8 @@ class SensorModel:
         try:
             return RangeObserver(self.camera, self.mesh, noise, self.pixels, block, at_rest)
         except InputError as error:
-            raise InputError(f"{_place(own)}: {error}") from error
+            where = own.resolve(own.file) if own.file else f"sensor {own.name}"
+            raise InputError(f"{where}: {error}") from error
 
     def _block(self) -> int:
         own = self.camera.intrinsics
@@ -206,19 +202,3 @@ class SensorModel:
         """Calibrated ranges of pixels given by flat indices (k,), m; NaN in unused ones."""
         ranges = depth_m.ravel()[pixels] * self.camera.range_per_depth.ravel()[pixels]
         return ranges if self.pixels is None else self.pixels.at(pixels).corrected(ranges)
-
-
-def _check_chamber(sensor: Sensor, mesh: MembraneMesh) -> None:
-    """Raise InputError if the chamber is too large for the rim, as a volume in litres is."""
-    given_m3 = sensor.pneumatics.chamber_volume_m3
-    width_m = float(np.ptp(mesh.nodes[mesh.rim], axis=0).max())
-    if given_m3 > _MOST_CHAMBER * width_m**3:
-        raise InputError(
-            f"{_place(sensor)}: pneumatics.chamber_volume_m3 = {given_m3:g}: implausible behind a "
-            f"rim {1e3 * width_m:.0f} mm wide; volumes are in cubic metres, not litres"
-        )
-
-
-def _place(sensor: Sensor) -> str:
-    """Path of a sensor's file, or its name."""
-    return str(sensor.resolve(sensor.file)) if sensor.file else f"sensor {sensor.name}"

@@ -430,13 +430,15 @@ def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
 
     Presses that differ in all frames look like noise. But no contact explains three quarters of the
     squares of noise, even in a fit that is implausible, as it has far fewer unknowns than there are
-    pixels; nor does noise leave a contact to be found.
+    pixels; and such noise hides a contact, it does not show one.
     """
     alone = replace(frame, gas_pressure_pa=None)
     noise = pipeline.estimate_once(alone)
-    if noise.status != "no_contact":
+    if noise.status == "ok":
         return True
     contact = pipeline.estimate_once(replace(alone, noise=1.0))
+    if np.isnan(noise.residual_rms_m):  # the fit by noise failed: no sign of noise
+        return contact.trusted
     return contact.residual_rms_m < 0.5 * noise.residual_rms_m  # false without a fit: NaN
 
 

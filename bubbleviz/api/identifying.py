@@ -70,7 +70,7 @@ class Identified(Summary):
     @property
     def tension_interval_n_per_m(self) -> tuple[float, float]:
         """95 % interval of γ0, N/m."""
-        tension = self.found.tension
+        tension = self.found.tension.possible()
         return tension.low, tension.high
 
     @property

@@ -265,7 +265,7 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
     else:
         sigma = float(np.hypot(sigma, in_file - gauge))
         gauge, source = in_file, f"{_FILE}, which has no local atmospheric pressure"
-    if not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
+    if vented is None and not ATMOSPHERES[0] <= recorded - gauge <= ATMOSPHERES[1]:
         raise InputError(
             f"{name}: gas pressure {recorded:.0f} Pa minus the sensor file's gauge pressure "
             f"{gauge:.0f} Pa is not a plausible atmospheric pressure; record the absolute pressure "

@@ -695,16 +695,15 @@ def _fitted(
     unexplained = change if fit is None else fit[2]
     known = replace(found, rises_pa=rises, change_rms_m=change, unexplained_rms_m=unexplained)
     if fit is None or unexplained > _MAX_UNEXPLAINED * change:
-        why_not = (
-            f"no rubber of this shape at rest explains the change to {names}, misfit "
-            f"{1e3 * unexplained:.2g} of {1e3 * change:.2g} mm rms"
-        )
-        return replace(known, levels_contradict=kind == "levels", why_not=why_not)
+        misfit = f", misfit {1e3 * unexplained:.2g} of {1e3 * change:.2g} mm rms" if fit else ""
+        why_not = f"no rubber of this shape at rest explains the change to {names}{misfit}"
+        # noise alone may exceed that limit where levels are close, but not most of the squares
+        contradict = kind == "levels" and unexplained**2 > 0.5 * change**2
+        return replace(known, levels_contradict=contradict, why_not=why_not)
     values, covariances, _ = fit
     if values[1, 1] < 1.01 * _MIN_GAUGE:  # a limit of the fit
         less = f"{_MIN_GAUGE * file.value:.0f} Pa or less"
-        why_not = f"the {kind} fit best a gauge pressure at rest of {less}"
-        return replace(known, levels_contradict=kind == "levels", why_not=why_not)
+        return replace(known, why_not=f"the {kind} fit best a gauge pressure at rest of {less}")
     if found.vented is not None:
         source = f"{source}; the gauge pressure from {file.source}"
         return _with_parameters(known, values[1], covariances[1], 1.0, source)

@@ -113,11 +113,11 @@ class Bag:
         else:
             parts = self._ros2_files(has_metadata=has_metadata)
             self._storages = [self._ros2_file(file) for file in parts]
-            if len(parts) > 1 and not has_metadata and not _are_parts(parts, self._storages):
+            if len(parts) > 1 and not has_metadata and not _are_consecutive(self._storages):
                 raise InputError(
                     f"{self.path}: contains {len(parts)} recordings ({parts[0].name}, "
-                    f"{parts[1].name} …) that are not consecutive parts of one; give one of the "
-                    "files, or estimate each (bubbleviz batch)"
+                    f"{parts[1].name} …) that do not follow each other; give one of the files, "
+                    "estimate each (bubbleviz batch), or join parts of one (ros2 bag reindex)"
                 )
         counts: Counter[tuple[str, str]] = Counter()
         for connection in (each for storage in self._storages for each in storage.connections):
@@ -172,21 +172,18 @@ class Bag:
         return files
 
 
-def _are_parts(files: list[Path], storages: list[Storage]) -> bool:
-    """Whether files are parts of one recording, by names as of rosbag2 (NAME_0, …) and times."""
-    names = [file.stem.rpartition("_") for file in files]
-    if len({name for name, *_ in names}) > 1 or not all(each[-1].isdecimal() for each in names):
-        return False
+def _are_consecutive(storages: list[Storage]) -> bool:
+    """Whether files follow each other in time, as those of a recorder that splits a recording."""
     ranges = []
-    for k in sorted(range(len(files)), key=lambda k: int(names[k][-1])):
-        rows = [storages[k].entries(connection.id) for connection in storages[k].connections]
+    for storage in storages:
+        rows = [storage.entries(connection.id) for connection in storage.connections]
         times_ns = np.concatenate([table_of([]), *rows])[:, 0]
-        if len(times_ns):  # an interrupted recorder may have just begun the last part
+        if len(times_ns):  # an interrupted recorder may have just begun the last one
             ranges.append((int(times_ns.min()), int(times_ns.max())))
     least, most = _PART_GAP_NS
     return all(
         before[0] < after[0] and least <= after[0] - before[1] <= most
-        for before, after in pairwise(ranges)
+        for before, after in pairwise(sorted(ranges))
     )
 
 

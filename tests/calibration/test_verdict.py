@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bubbleviz.api.identifying import Identified
 from bubbleviz.calibration import (
     Quantity,
     advice,
@@ -131,6 +132,12 @@ def test_a_sensor_whose_simulated_press_shows_no_force_is_not_good(ball):
     found = replace(in_frames(ball, 30), reference_force=None)
     assert grade(found) == "usable"
     assert "A simulated press shows no force" in advice(found)[1]
+
+
+def test_interval_of_the_tension_ends_at_zero_also_in_python(ball):
+    unsure = replace(ball, gauge=Quantity.normal(ball.gauge.value, ball.gauge.value))
+    shown = Identified(unsure, unsure.samples, "dome.toml")
+    assert shown.tension_interval_n_per_m[0] == 0.0 and "95 % within 0.00…" in repr(shown)
 
 
 @pytest.mark.parametrize(("noise", "low", "high"), [(0.003, 0.04, 0.05), (0.2, 0.15, 0.35)])

@@ -11,10 +11,8 @@ import pytest
 import tomli_w
 from small_press import record as record_frames, small_source
 
-from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
-from bubbleviz.sensor import changed, load_sensor, sensor_to_toml
-from bubbleviz.sensor_model import SensorModel
+from bubbleviz.sensor import load_sensor, sensor_to_toml
 from bubbleviz.simulation import resized, with_nodes
 from tests.program import COMMAND, refusal, run
 from tests.recordings.bagmaker import START, BagMaker, depth_image
@@ -123,11 +121,10 @@ def test_camera_info_of_another_size_than_the_images(bench):
         ("name = ", "name ", ("the TOML file cannot be read",)),
         ("[camera]", "[[camera]]", ("camera: needs to be one table; begin it with [camera]\n",)),
         ("2585.5", "2.5855", ("gauge_pressure_pa", "2.5855", "pascals")),
-        ("= 0.0022", "= 2.2", ("chamber_volume_m3 = 2.2", "150 mm", "litres")),
     ],
     ids=[
         "misspelt", "negative", "75 m rim", "NaN position", "NaN turn", "mm position", "no TOML",
-        "list of cameras", "gauge in kPa", "chamber in litres",
+        "list of cameras", "gauge in kPa",
     ],
 )  # fmt: skip
 def test_bad_sensor_file(bench, old, new, words):
@@ -141,14 +138,6 @@ def test_a_folder_in_place_of_a_sensor_file(bench):
     bench.sensor = bench.folder / "sensors"
     bench.sensor.mkdir()
     bench.refused("estimate", f"{bench.sensor}: the TOML file cannot be read (it is a folder)")
-
-
-def test_a_chamber_in_litres_behind_a_measured_surface():
-    given = load_sensor("punyo_oval_d405")
-    for volume_m3 in (given.pneumatics.chamber_volume_m3, 3e-3):  # with a reservoir of 3 l
-        SensorModel.of(changed(given, pneumatics={"chamber_volume_m3": volume_m3}))
-    with pytest.raises(InputError, match=r"punyo_oval_d405.toml: .*_m3 = 0.2: .*litres"):
-        SensorModel.of(changed(given, pneumatics={"chamber_volume_m3": 0.2}))
 
 
 @pytest.mark.parametrize("value", [1e-30, 1e30, -1.0, 0.0])
