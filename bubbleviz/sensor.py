@@ -127,7 +127,7 @@ class Pneumatics(Section):
         default=STANDARD_ATMOSPHERE_PA, ge=ATMOSPHERES[0], le=ATMOSPHERES[1]
     )
     chamber_volume_m3: float = Field(ge=1e-7, le=10.0)
-    """From 0.1 ml to 10 m³; `SensorModel` limits it by the rim."""
+    """From 0.1 ml to 10 m³."""
     tension_n_per_m: float | None = Field(default=None, ge=1e-3, le=1e6)
     """Within a factor of a hundred of P R/2 for the allowed gauge pressures and sizes."""
     volume_model: Literal["exact", "paper"] = "exact"

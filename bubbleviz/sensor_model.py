@@ -57,8 +57,8 @@ class SensorModel:
     ) -> SensorModel:
         """Build the model of a sensor file.
 
-        Raises InputError: the intrinsics are for another image size than the sensor's camera, mesh
-        or pixels cannot be read, or the chamber is too large for the rim.
+        Raises InputError: the intrinsics are for another image size than the sensor's camera, or
+        mesh or pixels cannot be read.
         """
         own, pixels = sensor.camera, None
         shape = own.height, own.width

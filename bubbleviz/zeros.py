@@ -430,7 +430,7 @@ def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
 
     Presses that differ in all frames look like noise. But no contact explains three quarters of the
     squares of noise, even in a fit that is implausible, as it has far fewer unknowns than there are
-    pixels; and such noise hides a contact, it does not show one.
+    pixels. And a contact that is found in spite of that noise is one.
     """
     alone = replace(frame, gas_pressure_pa=None)
     noise = pipeline.estimate_once(alone)

@@ -71,8 +71,9 @@ def _check_no_dent(
     inner = away_from_edges(filled, samples.statistics.correlation_length_px + 1.0)
     measured = inner & np.isfinite(residual_m)
     least = max(_SIGNIFICANT * robust_sigma(residual_m[measured & membrane]), _DEEP * radius_m)
-    # By the camera, pixels correlate in noise and residual alike. In a press that is not quite
-    # still the whole dome moves, and noise correlates farther; so do residuals of a wrong shape.
+    # The camera correlates neighbouring pixels in noise and in residuals alike. While a press
+    # settles, the whole dome moves, and noise is correlated over more pixels; where the shape is
+    # wrong, residuals are. So the smaller of both counts.
     usual = np.where(measured & membrane & (np.abs(residual_m) < least), residual_m, np.nan)
     of_residual = correlated_samples(spatial_correlation(usual[None], np.ones_like(usual)))
     together = min(samples.statistics.correlated_pixels, of_residual)

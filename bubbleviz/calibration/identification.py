@@ -192,7 +192,7 @@ class Identification:
 def open_chamber(source: FrameSource) -> Quantity:
     """Absolute gas pressure of the open chamber, Pa: mean over all frames of a recording.
 
-    Raises InputError: fewer than five frames with a gas pressure, or that is not absolute.
+    Raises InputError: fewer than five frames have a gas pressure, or it is not absolute.
     """
     fewest = 5  # for a mean with a standard error; chosen
     values = np.array([source[k].gas_pressure_pa for k in range(len(source))], float)

@@ -697,7 +697,7 @@ def _fitted(
     if fit is None or unexplained > _MAX_UNEXPLAINED * change:
         misfit = f", misfit {1e3 * unexplained:.2g} of {1e3 * change:.2g} mm rms" if fit else ""
         why_not = f"no rubber of this shape at rest explains the change to {names}{misfit}"
-        # noise alone may exceed that limit where levels are close, but not most of the squares
+        # where levels are close, noise alone may exceed that limit, but rubber explains the most
         contradict = kind == "levels" and unexplained**2 > 0.5 * change**2
         return replace(known, levels_contradict=contradict, why_not=why_not)
     values, covariances, _ = fit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -49,8 +49,9 @@ _AS_LIKELY = 2.0 * np.log(20.0)
 """Difference of χ² at which one of two poses is 20 times as likely as the other, which is then
 refuted."""
 _REFUTED = 0.05
-"""Probability that χ² of a true pose exceeds its least by as much, in the directions that the
-contact determines: beyond, the contact refutes a pose found by the depth image."""
+"""Significance at which the contact refutes a pose found by the depth image. χ² of the true pose
+exceeds the least by more with this probability; its degrees of freedom are the directions that the
+contact determines."""
 
 
 class Solution(NamedTuple):
@@ -228,14 +229,18 @@ _CLIPPED_M = 5e-3  # larger distances are clipped
 _SAMPLES = 2_000  # points of an object: on a face of 60 × 60 mm they are some 3 mm apart
 
 
-def looking_different(model: ObjectSurface, poses: Sequence[np.ndarray]) -> np.ndarray:
-    """Those of poses (4, 4) in which the object looks different from those before, (r, 4, 4).
+def looking_different(
+    model: ObjectSurface,
+    poses: Iterable[np.ndarray],
+    known: Iterable[np.ndarray] = (),  # (4, 4), which look different from each other
+) -> np.ndarray:
+    """The known poses, and those (4, 4) in which the object looks different from all before.
 
-    Shifts do not count, as a flat face slides.
+    Shape (r, 4, 4). Shifts do not count, as a flat face slides.
     """
-    kept: list[np.ndarray] = []
+    kept = list(known)
     for pose in poses:
-        if not any(looks_alike(model, known, pose) for known in kept):
+        if not any(looks_alike(model, other, pose) for other in kept):
             kept.append(pose)
     return np.reshape(kept, (-1, 4, 4))
 
@@ -283,14 +288,19 @@ def _hull(vertices: np.ndarray) -> ConvexHull | None:
 class InitialPoseFinder:
     """Lists coarse initial poses of one object, best first."""
 
-    def __init__(self, model: ObjectSurface, *, only_middles: bool = False) -> None:
+    def __init__(
+        self,
+        model: ObjectSurface,
+        *,
+        only_middles: bool = False,  # of the faces: fewer to rank, for live frames
+    ) -> None:
         self._model = model
         self._directions = touching_directions(model)
         points = model.sample(0 if only_middles else _SAMPLES)[0]
         self._supports = [self._of_face(direction, points) for direction in self._directions]
 
     def _of_face(self, direction: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Points (s, 3) in O of the face in a direction: its middle, and others near each point."""
+        """Points (s, 3) in O on a face: its middle, then more, until all of it is near one."""
         vertices, size_m = self._model.obj.vertices, self._model.size_m
         lowest = (vertices @ direction).max() - 0.02 * size_m
         face, corners = points[points @ direction > lowest], vertices[vertices @ direction > lowest]

@@ -24,7 +24,7 @@ from bubbleviz.pose.dual_stage import (
     InitialPoseFinder,
     Solution,
     Solver,
-    looks_alike,
+    looking_different,
 )
 from bubbleviz.pose.motion import START_DEVIATION, Motion, about, motion_between, moved
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
@@ -184,7 +184,7 @@ class PoseTracker:
 
     def _is_open(self, contact: ContactPoints) -> bool:
         """Whether a frame is compared with other poses."""
-        # after all of them only a larger patch: errors of the model are alike from frame to frame
+        # once all were compared, only a larger patch tells more: model errors repeat in each frame
         larger = not self._thorough or contact.areas_m2.sum() > self._compared_m2
         return larger and bool(len(self._waiting) or len(self._rivals))
 
@@ -219,32 +219,38 @@ class PoseTracker:
     def _accepted(self, frame: Frame, contact: ContactPoints, solution: Solution) -> Pose:
         self._motion, self._good_s = solution.motion, frame.time_s
         self._good_center, self._tried = contact.center, 0
-        new = [
-            other
-            for other in solution.pose.others
-            if not any(looks_alike(self.model, each, other) for each in self._rivals)
-        ]
-        self._rivals = np.concatenate([self._rivals, np.reshape(new, (-1, 4, 4))])
+        self._rivals = looking_different(self.model, solution.pose.others, self._rivals)
         covariance = solution.pose.covariance + self._spread(solution.pose)
         return replace(solution.pose, others=self._rivals.copy(), covariance=covariance)
 
     def _spread(self, pose: Pose) -> np.ndarray:
-        """Covariance (6, 6) of a pose that any of those not refuted yet may be instead.
-
-        It is the mean over them, but of many the 95 % ellipsoid holds each, with the six units of
-        χ² that are expected of its own error.
-        """
+        """Covariance (6, 6) of a pose that any of those not refuted yet may be instead."""
         unrefuted, origin = np.concatenate([self._rivals, self._waiting]), pose.T_B_O[:3, 3]
         motions = [motion_between(pose.T_B_O, other, origin) for other in unrefuted]
-        ways = np.reshape(motions, (-1, 6)) @ about(origin, pose.center_m).T
-        spread: np.ndarray = ways.T @ ways / min(1 + len(ways), chdtri(6, 0.05) - 6.0)
-        return spread
+        return _covering(np.reshape(motions, (-1, 6)) @ about(origin, pose.center_m).T)
 
     def _without(self, why: PoseStatus) -> Pose:
         """Result of a frame without a pose."""
         if self._motion is not None:
             self._tried = max(self._tried, 1)
         return Pose(why, self._good)
+
+
+def _covering(ways: np.ndarray) -> np.ndarray:
+    """Covariance (6, 6) whose 95 % ellipsoid contains motions (k, 6), beside a pose's own error.
+
+    Of few motions it is the mean square, with no motion as one more. Where many are alike, one that
+    differs is outside: then those outside get more weight (Titterington 1978, for the smallest
+    ellipsoid around all) until χ² of each is below the 95 % quantile by 6, which the pose's own
+    error is expected to add.
+    """
+    weight, limit = np.full(len(ways), 1.0 / (1 + len(ways))), chdtri(6, 0.05) - 6.0
+    while True:
+        covariance: np.ndarray = (ways.T * weight) @ ways
+        squares = np.einsum("ki,ij,kj->k", ways, np.linalg.pinv(covariance), ways)
+        if squares.max(initial=0.0) <= limit:
+            return covariance
+        weight *= squares / (weight @ squares)
 
 
 def precision_of(estimator: Estimator) -> Precision:

@@ -31,8 +31,8 @@ from bubbleviz.recordings.message_decoding import MAX_STAMP_NS, begins_as_cdr, h
 
 UNREADABLE = -1  # instead of the stamp, for a message without a header
 _PART_GAP_NS = -100_000_000, 2_000_000_000
-"""From the end of a part to the start of the next: for topics that arrived out of order, and for
-opening the next file, which takes a recorder less; chosen."""
+"""Least and most time from the end of a file to the start of the next in one recording: topics may
+overlap by 0.1 s, and a recorder needs less than 2 s to open a file; chosen."""
 MAX_UNREADABLE = 100  # most messages at the start of a topic to search for a readable one
 
 

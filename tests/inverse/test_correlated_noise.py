@@ -81,7 +81,7 @@ def test_noise_that_is_correlated_in_time_is_no_contact():
     assert np.count_nonzero(run.status == "no_contact") >= 99
 
 
-def test_what_frames_tell_of_the_image_holds_the_truth_where_noise_is_correlated_in_time():
+def test_errors_known_from_rest_contain_the_truth_where_noise_is_correlated_in_time():
     """Together they tell as much as 1.7 independent ones."""
     rest, squares = exact()[0][0], 0.0
     for seed in range(3):

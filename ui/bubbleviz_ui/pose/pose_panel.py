@@ -105,6 +105,7 @@ class Curve(Plot):
     def __init__(self, name: str, colour: str, below: Below, top: float | None = None) -> None:
         super().__init__(below)
         self._name, self._colour, self._top = name, colour, top
+        self.label.setPos(0.0, self.label.y())  # above the axis, too, as the plot is narrow
         self.curve = self.add_curve(colour, symbolSize=4, symbolBrush=colour, symbolPen=None)
         self.change = self.add_line()
 
