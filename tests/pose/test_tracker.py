@@ -184,6 +184,7 @@ def test_the_ellipsoid_of_a_live_pose_holds_all_that_are_not_refuted(
     for pose, truth in found_at:
         off = motion_between(pose.T_B_O, truth, pose.T_B_O[:3, 3])
         assert off @ np.linalg.solve(pose.origin_covariance, off) < chdtri(6, 0.05)
+        assert np.sqrt(np.diag(pose.covariance)[3:]).max() < np.pi  # no two poses are farther apart
 
 
 def test_first_contacts_of_a_recording_have_the_pose_that_the_largest_determines(sensor):
