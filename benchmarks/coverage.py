@@ -59,7 +59,8 @@ class CoverageGrid:
     rubbers: tuple[str, ...] = tuple(RUBBERS)
     seeds: int = 50  # of the noise, for every rubber
     levels: tuple[float, ...] = (0.85, 1.15)  # besides rest, relative to its gauge pressure
-    pressure_error: float = 0.02  # relative, of the last level's pressure, in half of the seeds
+    # relative, of the last level's pressure in half of the seeds, and 2 σ of the open chamber's
+    pressure_error: float = 0.02
     frames: int = 60  # of every level: two seconds
     width: int = 224  # of the image, pixels: a pico flexx's
     nodes: int = 1000  # of the mesh that is identified: those of `identify`
@@ -134,11 +135,13 @@ def _identified(grid: CoverageGrid, name: str, seed: int) -> list[CoverageRow]:
     rng = np.random.default_rng([seed, list(RUBBERS).index(name)])  # independent of other rubbers
     weather = ATMOSPHERE_PA + _WEATHER_PA * rng.standard_normal()
     sigma = _VENTED_NOISE_PA / np.sqrt(_VENTED_FRAMES)
-    vented = Quantity.normal(ATMOSPHERE_PA + sigma * rng.standard_normal(), sigma)
+    shown_pa = ATMOSPHERE_PA + sigma * rng.standard_normal()
     sensor = edited(
         rubber.sensor(grid.width), {"pneumatics.atmospheric_pressure_pa": round(weather, 1)}
     )
     off = grid.pressure_error * rng.choice([-1.0, 1.0]) * grid.levels[-1] * GAUGE_PA
+    shown_pa += 0.5 * grid.pressure_error * GAUGE_PA * rng.standard_normal()
+    vented = Quantity.normal(shown_pa, sigma)
     rest, *others = _recorded(grid, rubber, seed, off if seed % 2 else 0.0)
     levels = [collect(source, sensor, range(grid.frames)) for source in others]
     truths = rubber.tension_n_per_m, rubber.prestretch, rubber.gauge_pressure_pa

@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     from bubbleviz.simulation import Validation
 
 _RESOLUTION_PA = 0.1  # of pressures in a sensor file
+PRESSURE_ERROR = 0.01
+"""Standard deviation of gas pressure differences between recordings, over their largest gauge
+pressure. Data sheets of silicon pressure sensors give a total error band of ±1 to ±2 % of full
+scale, due to zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and full scale is
+at least that pressure; ±2 % is taken as the 95 % interval. Frames of one recording share zero and
+temperature, so a press in the same recording does not have this error."""
 RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}
 _FILE = "the sensor file"
 
@@ -212,7 +218,13 @@ def open_chamber(source: FrameSource) -> Quantity:
     return Quantity.normal(mean, error_of_mean(known), name)
 
 
-def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = None) -> Quantity:
+def rest_gauge(
+    samples: FrameSamples,
+    sensor: Sensor,
+    vented: Quantity | None = None,  # gas pressure of the open chamber
+    # standard deviation of gas pressure differences between recordings, Pa; None: `PRESSURE_ERROR`
+    level_sigma_pa: float | None = None,
+) -> Quantity:
     """Gauge pressure of the contact-free frames, Pa.
 
     With the pressure of the open chamber, it is the difference of both recorded gas pressures.
@@ -246,6 +258,9 @@ def rest_gauge(samples: FrameSamples, sensor: Sensor, vented: Quantity | None = 
         weather = pneumatics.atmospheric_sigma_pa
         air = Quantity.normal(pneumatics.atmospheric_pressure_pa, weather, whose)
     gauge, sigma = recorded - air.value, float(np.hypot(air.sigma, noise))
+    if vented is not None:  # another recording
+        between = PRESSURE_ERROR * gauge if level_sigma_pa is None else level_sigma_pa
+        sigma = float(np.hypot(sigma, between))
     if vented is None and file_sigma is not None:
         local = pneumatics.atmosphere_is_local
         change = min(abs(gauge - in_file), WEATHER_SIGMA_PA) if local else 0.0

@@ -30,7 +30,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from bubbleviz.calibration.fit_errors import height_rings, jackknife_errors, tile_errors
-from bubbleviz.calibration.identification import Identification
+from bubbleviz.calibration.identification import PRESSURE_ERROR, Identification
 from bubbleviz.calibration.rest_frames import FrameSamples, collect
 from bubbleviz.calibration.surface import Quantity
 from bubbleviz.camera import BlockSquares, RangeObserver, ShapeRanges
@@ -90,12 +90,6 @@ _FRICTIONS = 4  # amplitudes of `contact_friction`
 _NO_NODES = np.zeros(0, int)
 _STEP = 1e-3  # of q, relative, of unequal tension and gradient, for derivatives of the forces
 _MIN_RISE = 0.01  # smallest relative change of the gauge pressure that determines anything
-PRESSURE_ERROR = 0.01
-"""Standard deviation of gas pressure differences between recordings, over their largest gauge
-pressure. Data sheets of silicon pressure sensors give a total error band of ±1 to ±2 % of full
-scale, due to zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and full scale is
-at least that pressure; ±2 % is taken as the 95 % interval. Frames of one recording share zero and
-temperature, so a press in the same recording does not have this error."""
 _EDGE_OF_DENT = 0.25
 """Share of a dent's largest depth beyond which nodes may be in contact. The contact edge of a flat
 plate that covers a dome to 0.85 of its radius is at this depth; that of smaller or rounder objects

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.special import chdtri, ndtr
 
 from bubbleviz.calibration.fit_errors import height_rings, jackknife_errors, tile_errors
+from bubbleviz.calibration.identification import PRESSURE_ERROR
 from bubbleviz.calibration.reference_press import press_force, reference_press
-from bubbleviz.calibration.rubber_problem import PRESSURE_ERROR
 from bubbleviz.camera import IMAGE_ERRORS, BlockSquares, DepthCamera
 from bubbleviz.errors import InputError, SolveError
 from bubbleviz.files import table

@@ -176,7 +176,11 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     chamber = "record the open chamber for ten seconds (--vented)"
     if found.samples.gas_pressure_pa is None:
         chamber = "record the gas pressure, and the open chamber (--vented)"
-    chamber_text = "record the open chamber for longer (--vented)" if vented else chamber
+    chamber_text = chamber
+    if vented:
+        chamber_text = (
+            "give the deviation of your pressure sensor, if it is smaller (--level-sigma)"
+        )
     part = max(found.tension_parts, key=lambda name: found.tension_parts[name])
     of_tension = _OF_TENSION[part].format(chamber=chamber_text)
     cut = gauge.possible()

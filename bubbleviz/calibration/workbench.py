@@ -177,7 +177,7 @@ class Workbench:
         if settings.vented is not None:
             vented = self._of_other(settings.vented, "vented", open_chamber)
         with _errors_name(self.source):
-            gauge = rest_gauge(found.samples, self.sensor, vented)
+            gauge = rest_gauge(found.samples, self.sensor, vented, settings.level_sigma_pa)
             surfaces = self._cached(
                 "tension",
                 (found.ranges, settings.nodes, settings.surface),

@@ -303,7 +303,7 @@ def test_force_without_gas_pressure_is_as_uncertain_as_the_gauge_pressure(sigma_
 
 def test_open_chamber_replaces_the_gauge_pressure_of_the_file(rest_samples):
     vented = Quantity.normal(ATMOSPHERE_PA - 700.0, 1.0)
-    gauge = rest_gauge(rest_samples, sensor_file(gauge_sigma_pa=50.0), vented)
+    gauge = rest_gauge(rest_samples, sensor_file(gauge_sigma_pa=50.0), vented, 1.0)
     assert gauge.value == pytest.approx(GAUGE_PA + 700.0, abs=5.0)
     assert 1.0 <= gauge.sigma < 5.0
 

@@ -9,7 +9,15 @@ import pytest
 from scipy.signal import lfilter
 from small_press import record
 
-from bubbleviz.calibration import Quantity, advice, collect, grade, open_chamber, with_rubber
+from bubbleviz.calibration import (
+    Quantity,
+    advice,
+    collect,
+    grade,
+    open_chamber,
+    rest_gauge,
+    with_rubber,
+)
 from bubbleviz.errors import InputError
 from bubbleviz.membrane import Inflation, RubberMembrane, inverse_metric, prestressed
 from bubbleviz.recordings import Frame, HeldFrames
@@ -158,12 +166,15 @@ def test_stretch_that_levels_hardly_tell_from_constant_tension():
 
 
 def test_open_chamber_gives_the_gauge_pressure(found, vented):
-    """The zero of the absolute sensor cancels."""
+    """The zero of the absolute sensor cancels; its errors between recordings do not."""
     only = with_rubber(opened(found, vented), [])
     assert only.gauge.source == "the open-chamber recording vented"
     assert only.prestretch is None
-    assert only.gauge.low < G < only.gauge.high
-    assert only.gauge.half_width < 0.005 * G
+    assert only.gauge.value == pytest.approx(G, rel=0.002)
+    assert only.gauge.half_width == pytest.approx(1.96 * 0.01 * G, rel=0.02)
+    precise = rest_gauge(found.samples, found.given, vented, level_sigma_pa=1.0)
+    assert precise.low < G < precise.high
+    assert precise.half_width < 0.005 * G
     assert only.sensor.pneumatics.atmospheric_pressure_pa == pytest.approx(
         ATMOSPHERE_PA + OFFSET, abs=3.0
     )
@@ -385,7 +396,9 @@ def test_levels_that_contradict_their_gas_pressures_are_doubtful(found, vented, 
 def test_open_chamber_of_a_sensor_without_noise(found):
     """A coarse pressure sensor shows one value in all frames; the sensor file stays valid."""
     still = replace(found.samples, gas_pressure_pa=np.full(FRAMES, ATMOSPHERE_PA + G))
-    known = opened(replace(found, samples=still), open_chamber(chamber([ATMOSPHERE_PA] * 10)))
+    still, silent = replace(found, samples=still), open_chamber(chamber([ATMOSPHERE_PA] * 10))
+    gauge = rest_gauge(still.samples, still.given, silent, level_sigma_pa=0.0)
+    known = replace(still, gauge=gauge, vented=silent)
     assert known.sensor.pneumatics.gauge_sigma_pa == 0.1
     assert known.sensor.pneumatics.gauge_pressure_pa == G
 
