@@ -226,6 +226,10 @@ class Calibration(Section):
     stiffness_gradient_x_interval: tuple[float, float] | None = None
     stiffness_gradient_y_interval: tuple[float, float] | None = None
     stiffness_gradient_r_interval: tuple[float, float] | None = None
+    fx_interval: tuple[float, float] | None = None
+    """95 % interval of the focal length, pixels, by the size of the rim, where the image shows
+    it."""
+    fy_interval: tuple[float, float] | None = None
     edited: tuple[str, ...] | None = None
     """Keys of values changed by hand since, such as `pneumatics.gauge_pressure_pa`."""
 
@@ -289,6 +293,8 @@ MEASURED = {
     "membrane.stiffness_gradient_x": ("stiffness_gradient_x_interval",),
     "membrane.stiffness_gradient_y": ("stiffness_gradient_y_interval",),
     "membrane.stiffness_gradient_r": ("stiffness_gradient_r_interval",),
+    "camera.fx": ("fx_interval",),
+    "camera.fy": ("fy_interval",),
 }
 """Keys of `Calibration` that describe a value, by the key of the value."""
 
@@ -302,10 +308,13 @@ def contradiction(sensor: Sensor) -> str:
         if value is None or interval is None:
             continue
         if not interval[0] <= value <= interval[1]:
+            remedy = "correct the value or"
+            if section == "camera":
+                remedy = "forces may be wrong by twice the ratio: correct the camera info and"
             return (
                 f"{value_name} = {value:g} in the sensor file is outside the interval of its "
-                f"calibration, {interval[0]:g} to {interval[1]:g}; correct the value or identify "
-                "the sensor again"
+                f"calibration, {interval[0]:g} to {interval[1]:g}; {remedy} identify the sensor "
+                "again"
             )
     return ""
 

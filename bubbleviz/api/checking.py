@@ -26,7 +26,8 @@ class CheckSummary(SensorCheck, Summary):
 
     recording: str = ""
     sensor: str = ""
-    warning: str | None = None  # missing parts of the recording, or a choice made in it
+    # missing parts of the recording, a choice made in it, or a contradiction in the sensor file
+    warning: str | None = None
 
 
 def check(
@@ -76,12 +77,14 @@ def check(
         free = contact_free or find_contact_free(source, progress).frames
         try:
             some = [source[k] for k in free[:: -(-len(free) // _MAX_FRAMES)]]
-            found = check_sensor(SensorModel.of(own, intrinsics), some)
+            model = SensorModel.of(own, intrinsics)
+            found = check_sensor(model, some)
         except InputError as error:
             raise InputError(f"{shown_name(chosen.source)}: {error}") from error
         fields = {**vars(found), "rows": (*found.rows, *_temperature(chosen.source))}
     recording = shown_name(chosen.source)
-    return CheckSummary(**fields, recording=recording, sensor=name, warning=chosen.note or None)
+    warning = "; ".join(filter(None, (chosen.note, model.contradiction))) or None
+    return CheckSummary(**fields, recording=recording, sensor=name, warning=warning)
 
 
 def _temperature(source: Any) -> list[CheckRow]:

@@ -26,8 +26,11 @@ from .rest_frames import (
     as_ranges as as_ranges,
     collect as collect,
     frame_numbers as frame_numbers,
-    rim_height as rim_height,
     select_pixels as select_pixels,
+)
+from .rim import (
+    lateral_scale as lateral_scale,
+    rim_height as rim_height,
 )
 from .rubber_problem import (
     collect_press as collect_press,

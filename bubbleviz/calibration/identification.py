@@ -40,6 +40,9 @@ at least that pressure; ±2 % is taken as the 95 % interval. Frames of one recor
 temperature, so a press in the same recording does not have this error."""
 RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}
 _FILE = "the sensor file"
+_RIM_OFF = 0.02
+"""Height of the edge above the rim over the dome's that is no error: the largest relative error of
+γ0 in a good identification."""
 
 
 @dataclass(frozen=True)
@@ -144,6 +147,38 @@ class Identification:
             return False
         shapes, file = self.gauge_candidates
         return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
+
+    @property
+    def edge_at_rim(self) -> bool:
+        """Whether the edge of the cloud has the height of the sensor file's rim."""
+        surfaces, height = self.surfaces, self.surfaces.dimensions["height_m"].value
+        limit = max(3.0 * surfaces.rim_height_sigma_m, _RIM_OFF * height)
+        return abs(surfaces.rim_height_m) <= limit
+
+    @property
+    def focal_by_rim_px(self) -> dict[str, Quantity]:
+        """`fx` and `fy`, pixels, at which the rim has its size before the first identification.
+
+        Empty where the edge of the cloud is not the rim or does not determine them.
+        """
+        if not self.edge_at_rim:
+            return {}
+        camera, calibration = self.given.camera, self.given.calibration
+        found = dict(zip(("fx", "fy"), self.surfaces.focal_by_rim_px or (), strict=False))
+        for name, of in found.items():
+            before = None if calibration is None else getattr(calibration, f"{name}_interval")
+            if before is not None:  # the rim of the file was measured with the file's focal length
+                earlier = Quantity(0.5 * sum(before), *before).times(1.0 / getattr(camera, name))
+                sigma = float(np.hypot(of.sigma * earlier.value, of.value * earlier.sigma))
+                found[name] = Quantity.normal(of.value * earlier.value, sigma, of.source)
+        return found
+
+    @property
+    def focal_contradicts_rim(self) -> bool:
+        """Whether a focal length is outside its 95 % interval by the size of the rim."""
+        used = self.samples.camera.intrinsics
+        every = self.focal_by_rim_px.items()
+        return any(not of.low <= getattr(used, name) <= of.high for name, of in every)
 
     @cached_property
     def sensor(self) -> Sensor:

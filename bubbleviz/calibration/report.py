@@ -121,6 +121,8 @@ def _described(found: Identification, path: Path, origin: Origin) -> Sensor:
     for name, of in found.rubber.items():
         known[f"{name}_interval"] = round(of.low, 4), round(of.high, 4)
         known["prestretch_from"] = of.source
+    for name, of in found.focal_by_rim_px.items():
+        known[f"{name}_interval"] = round(of.low, 2), round(of.high, 2)
     calibration = Calibration(
         pixels_file=path.with_suffix(".npz").name,
         tension_interval_n_per_m=(round(tension.low, 3), round(tension.high, 3)),
@@ -178,6 +180,7 @@ def summary(found: Identification, origin: Origin) -> dict[str, Any]:
         "ellipsoid": {name: value.tolist() for name, value in asdict(cap).items()},
         "rim_height_m": surfaces.rim_height_m,
         "rim_height_sigma_m": surfaces.rim_height_sigma_m,
+        "focal_by_rim_px": {name: asdict(each) for name, each in found.focal_by_rim_px.items()},
         "seen": surfaces.visible_share,
         "wander_m": surfaces.motion_m,
         "pixels": {"used": int(found.pixels.mask.sum()), "removed": found.pixels.removed}

@@ -40,6 +40,7 @@ class FrameSamples:
     traced_depth_m: np.ndarray  # (F, k) float32, that of `traced_pixels` in every frame, m
     gas_pressure_pa: np.ndarray | None  # (F,), absolute; None where a frame lacks it
     camera: DepthCamera  # at the sensor file's pose in B, with the recording's intrinsics
+    rim_m: np.ndarray  # (r, 3), points of the sensor file's rim in B, m
     statistics: DepthStatistics
 
 
@@ -78,8 +79,8 @@ def collect(
         frame = source[k]
         if number == 0:
             depth = np.empty((len(chosen), *frame.depth_m.shape), np.float32)
-            camera = DepthCamera.of(sensor.camera, frame.intrinsics)
-            rest_m = camera.local(build_mesh(sensor).nodes)[:, 2]
+            camera, mesh = DepthCamera.of(sensor.camera, frame.intrinsics), build_mesh(sensor)
+            rest_m = camera.local(mesh.nodes)[:, 2]
             remedy = "record 16UC1 in millimetres or 32FC1 in metres"
             check_unit(f"{source.name}: depth", frame.depth_m, rest_m, remedy)
         if frame.depth_m.shape != depth.shape[1:]:
@@ -100,6 +101,7 @@ def collect(
         traced_depth_m=depth.reshape(len(depth), -1)[:, traced_pixels(statistics)[0]],
         gas_pressure_pa=gas if np.isfinite(gas).all() else None,
         camera=camera,
+        rim_m=mesh.nodes[mesh.rim],
         statistics=statistics,
     )
 
@@ -228,32 +230,3 @@ def outer_edge(region: np.ndarray) -> np.ndarray:
     """Pixels (H, W) on the outer edge of a region, without edges of holes and image border."""
     filled = ndimage.binary_fill_holes(region)
     return region & filled & ~ndimage.binary_erosion(filled, border_value=1)
-
-
-# Height of the rim from the edge of the measured membrane.
-
-
-def rim_height(
-    edge_heights_m: np.ndarray,  # (k,), heights of the edge's points along the dome's axis, m
-) -> tuple[float, float]:
-    """Height of the rim and its uncertainty, m, from heights of the cloud's outer edge.
-
-    Some points of the edge lie on the rim, all at one height; where depth ends early, others lie
-    above it. So the rim is the mode of the heights (repeated selection of the densest half). The
-    uncertainty is half the width of the densest quarter.
-    """
-    heights = np.sort(edge_heights_m[np.isfinite(edge_heights_m)])
-    if not len(heights):
-        return float("nan"), float("nan")
-    spread = 0.5 * float(np.ptp(_densest(heights, max(2, len(heights) // 4))))
-    while len(heights) > 3:
-        heights = _densest(heights, (len(heights) + 1) // 2)
-    return float(heights.mean()), spread
-
-
-def _densest(ordered: np.ndarray, count: int) -> np.ndarray:
-    """The `count` consecutive values of a sorted array with the smallest range."""
-    count = min(count, len(ordered))
-    spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
-    start = int(np.argmin(spans))
-    return ordered[start : start + count]

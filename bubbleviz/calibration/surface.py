@@ -24,8 +24,8 @@ from bubbleviz.calibration.rest_frames import (
     away_from_edges,
     membrane_pixels,
     outer_edge,
-    rim_height,
 )
+from bubbleviz.calibration.rim import lateral_scale, rim_height
 from bubbleviz.camera import DepthCamera, MembraneView, facet_error
 from bubbleviz.membrane import (
     MembraneMesh,
@@ -63,6 +63,8 @@ class Surfaces:
     # height of the cloud's edge above the rim plane z = 0, and its uncertainty, m
     rim_height_m: float
     rim_height_sigma_m: float
+    # fx and fy, pixels, at which that edge has the size of the sensor file's rim; None: unknown
+    focal_by_rim_px: tuple[Quantity, Quantity] | None
     camera: DepthCamera  # in B, whose origin lies below the chosen surface's centre
     # membrane, fitted: (H, W) bool, pixels that see the membrane, and those of them that were
     # fitted: far enough from its edges, and in every `stride`th row and column
@@ -141,7 +143,8 @@ def fit_surfaces(
     points = given.points_at(statistics.range_m, np.flatnonzero(fitted))
     edge = given.points_at(statistics.range_m, np.flatnonzero(outer_edge(membrane)))
     sphere = fit_sphere(points)
-    caps, camera = _centred((sphere, fit_ellipsoid(points, sphere)), given, 1)
+    ellipsoid = fit_ellipsoid(points, sphere)
+    caps, camera = _centred((sphere, ellipsoid), given, 1)
     start = mesh_cap(caps[1].cap_above_rim, nodes)
     side = tile_side(int(usable.sum()), statistics.correlation_length_px)
     free_form = fit_free_form(
@@ -167,6 +170,7 @@ def fit_surfaces(
         free_form=free_form,
         rim_height_m=height,
         rim_height_sigma_m=sigma,
+        focal_by_rim_px=_focal_by_rim(edge, samples, ellipsoid),
         camera=camera,
         membrane=membrane,
         fitted=fitted,
@@ -178,6 +182,21 @@ def fit_surfaces(
         visible_share=check_dome(samples, mesh, residual_m, camera, membrane),
         motion_m=motion_m,
     )
+
+
+def _focal_by_rim(
+    edge_m: np.ndarray, samples: FrameSamples, cap: Ellipsoid
+) -> tuple[Quantity, Quantity] | None:
+    camera = samples.camera
+    found = lateral_scale(edge_m, samples.rim_m, camera, cap)
+    if found is None:
+        return None
+    focal = np.array([camera.intrinsics.fx, camera.intrinsics.fy]) / found[0]
+    fx, fy = (
+        Quantity.normal(float(f), float(f * sigma), "size of the rim")
+        for f, sigma in zip(focal, found[1], strict=True)
+    )
+    return fx, fy
 
 
 def segment_membrane(samples: FrameSamples) -> tuple[np.ndarray, np.ndarray]:

@@ -49,6 +49,7 @@ def grade(found: Identification) -> Grade:
     relative = _relative(tension)
     force = _relative(found.reference_force)
     contradictory = found.contradicts_file or found.levels_contradict
+    contradictory = contradictory or found.focal_contradicts_rim
     if relative > _USABLE or force > _USABLE_FORCE or contradictory:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
@@ -94,6 +95,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             " may be wrong. Check which pressure belongs to which recording, at rest, of levels"
             " (--level) and of the open chamber (--vented)."
         )
+    if found.focal_contradicts_rim:
+        used = found.samples.camera.intrinsics
+        texts = [each.texts(1) for each in found.focal_by_rim_px.values()]
+        fx, fy = (f"{value} ({low} to {high})" for value, low, high in texts)
+        out.append(
+            "The rim in the image has the size in the sensor file at focal lengths of"
+            f" {fx} and {fy} pixels, not {used.fx:.1f} and {used.fy:.1f}: every force may be wrong"
+            " by twice that ratio. Correct the camera info, the scale of depth, or the rim in the"
+            " sensor file."
+        )
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
     given = found.given.pneumatics
@@ -134,12 +145,11 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             "the surface is extrapolated from the fitted cap, and contact is only inferred."
             " Uncover the camera, or check its pose in the sensor file."
         )
-    height = surfaces.dimensions["height_m"].value
-    rim = surfaces.rim_height_m
-    if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
+    if not found.edge_at_rim:
         out.append(
-            f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
-            "0: uncover the rim, or correct the camera's pose in the sensor file."
+            f"The edge of the cloud lies at z = {1e3 * surfaces.rim_height_m:+.1f} mm, the rim of"
+            " the sensor file at 0: uncover the rim, or correct the camera's pose in the sensor"
+            " file."
         )
     if found.shapes_kind and found.prestretch is None and not found.levels_contradict:
         kept = found.given.membrane.prestretch

@@ -1,0 +1,135 @@
+"""Rim of the sensor file against the edge of the measured membrane: height and size."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import stdtrit
+
+from bubbleviz.calibration.ellipsoid import Ellipsoid
+from bubbleviz.camera import DepthCamera
+from bubbleviz.recordings import robust_sigma, tukey_weights
+from bubbleviz.result import HALF_95
+
+_DRAWN_SIGMA_M = 0.5e-3 / np.sqrt(3.0)
+"""σ of the sensor file's rim: uniform distribution over ± half a millimetre of a ruler, on which
+the edge of a clamp is hardly better defined."""
+_STEPS, _LARGEST_STEP, _TOLERANCE = 50, 0.1, 1e-4
+"""Gauss–Newton steps and their limits; relative. The last is far below `_DRAWN_SIGMA_M`."""
+_DIFFERENCE = 1e-6  # for the derivatives; far above the rounding of doubles
+
+
+def rim_height(
+    edge_heights_m: np.ndarray,  # (k,), heights of the edge's points along the dome's axis, m
+) -> tuple[float, float]:
+    """Height of the rim and its uncertainty, m, from heights of the cloud's outer edge.
+
+    Some points of the edge lie on the rim, all at one height; where depth ends early, others lie
+    above it. So the rim is the mode of the heights (repeated selection of the densest half). The
+    uncertainty is half the width of the densest quarter.
+    """
+    heights = np.sort(edge_heights_m[np.isfinite(edge_heights_m)])
+    if not len(heights):
+        return float("nan"), float("nan")
+    spread = 0.5 * float(np.ptp(_densest(heights, max(2, len(heights) // 4))))
+    while len(heights) > 3:
+        heights = _densest(heights, (len(heights) + 1) // 2)
+    return float(heights.mean()), spread
+
+
+def _densest(ordered: np.ndarray, count: int) -> np.ndarray:
+    """The `count` consecutive values of a sorted array with the smallest range."""
+    count = min(count, len(ordered))
+    spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
+    start = int(np.argmin(spans))
+    return ordered[start : start + count]
+
+
+def lateral_scale(
+    edge_m: np.ndarray,  # (k, 3), points of the cloud's outer edge in B, m
+    rim_m: np.ndarray,  # (r, 3), points of the sensor file's rim in B, m
+    camera: DepthCamera,  # at the sensor file's pose
+    cap: Ellipsoid,  # fitted to the cloud, in B
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Size of the sensor file's rim over that in the image along image x and y, and its σ; (2,).
+
+    A focal length is too large by its scale, as depth shows neither. Neighbouring points of the
+    edge err together, and how many do is unknown, so the σ of the fit to all of them is as large as
+    if only one were independent. None: the edge does not determine both scales.
+
+    Where depth ends above the rim, the edge is smaller than the rim, unless the height is an error
+    of the camera's pose; then the edge is the rim. The scale is uniform between both.
+    """
+    fit = _RimFit(edge_m, rim_m, camera)
+    found = fit.found(cap.centre_m[:2])
+    if found is None:
+        return None
+    values, weights, variance = found
+    height = fit.scaled(values)[:, 2]
+    mean = np.average(height, weights=weights)
+    spread = np.sqrt(np.average((height - mean) ** 2, weights=weights))
+    below, edge, above = (_width(cap, mean + side * spread) for side in (-1, 0, 1))
+    rim, drawn = _width(cap, 0.0), _DRAWN_SIGMA_M / fit.size_m
+    errors = (1.0 - edge / rim) / np.sqrt(12.0), 0.5 * (below - above) / rim, drawn
+    scale = np.exp(values[:2]) * 0.5 * (1.0 + edge / rim)
+    return scale, scale * np.sqrt(variance[:2] + np.sum(np.square(errors)))
+
+
+def _width(cap: Ellipsoid, height_m: float) -> float:
+    """Width of a cap at a height over its largest one."""
+    above = (height_m - cap.centre_m[2]) / cap.semi_axes_m[2]
+    return float(np.sqrt(max(1.0 - above**2, 0.0)))
+
+
+class _RimFit:
+    """Robust least squares of the rim's size and centre to the edge of the cloud.
+
+    Values: logarithms of the scales along image x and y, and the centre (x, y) in mean radii.
+    """
+
+    def __init__(self, edge_m: np.ndarray, rim_m: np.ndarray, camera: DepthCamera) -> None:
+        self._camera, self._local = camera, camera.local(edge_m)
+        angle, radius = np.arctan2(rim_m[:, 1], rim_m[:, 0]), np.hypot(rim_m[:, 0], rim_m[:, 1])
+        order = np.argsort(angle)
+        self._angle, self._radius = angle[order], radius[order]
+        self.size_m = float(radius.mean())
+
+    def found(self, centre_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Values (4,), weights of the points (k,), variances (4,); None: not determined."""
+        values = np.concatenate([np.zeros(2), centre_m / self.size_m])
+        for _ in range(_STEPS):
+            left, J = self.beyond(values), self._derivatives(values)
+            weights = tukey_weights(left, max(robust_sigma(left, center=0.0), _DIFFERENCE))
+            freedom = float(weights.sum()) - len(values)
+            normal = J.T * weights @ J
+            if freedom <= 0.0 or np.linalg.matrix_rank(normal) < len(values):
+                return None
+            step = np.linalg.solve(normal, J.T @ (weights * left))
+            size = float(np.abs(step).max())
+            values = values - step * min(1.0, _LARGEST_STEP / size)
+            if size < _TOLERANCE:
+                single = weights @ left**2 / freedom * (stdtrit(freedom, 0.975) / HALF_95) ** 2
+                return values, weights, single * weights.sum() * np.diag(np.linalg.inv(normal))
+        return None
+
+    def scaled(self, values: np.ndarray) -> np.ndarray:
+        """The edge in B about the centre (k, 3), m."""
+        scaled = self._camera.center + self._local * (*np.exp(values[:2]), 1.0) @ self._turn
+        return np.asarray(scaled - (*values[2:] * self.size_m, 0.0))
+
+    def beyond(self, values: np.ndarray) -> np.ndarray:
+        """Distance of the edge from the rim over the radius, (k,), as long as before scaling.
+
+        The scaled distance would vanish with the scale.
+        """
+        x, y, _ = self.scaled(values).T
+        radius = np.interp(np.arctan2(y, x), self._angle, self._radius, period=2.0 * np.pi)
+        return np.asarray((np.hypot(x, y) / radius - 1.0) * np.exp(-values[:2].mean()))
+
+    def _derivatives(self, values: np.ndarray) -> np.ndarray:
+        steps = _DIFFERENCE * np.eye(len(values))
+        ends = [self.beyond(values + step) - self.beyond(values - step) for step in steps]
+        return np.stack(ends, axis=1) / (2.0 * _DIFFERENCE)
+
+    @property
+    def _turn(self) -> np.ndarray:
+        return self._camera.T_B_C[:3, :3].T
