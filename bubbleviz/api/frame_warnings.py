@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bubbleviz.camera import UPPER_95
-from bubbleviz.inverse import FRICTION, LINEAR, PAPER
+from bubbleviz.inverse import LINEAR, PAPER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, gas_warning
 from bubbleviz.result import Result
@@ -86,7 +86,7 @@ class FrameWarnings:
         yield self._drift_warning()
         friction = self._pipeline.options.friction
         frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
-        if frictionless and friction not in (0.0, FRICTION):
+        if frictionless and friction and self._pipeline.options.friction_given:
             yield (
                 f"the linear membrane has no friction, so --friction {friction:g} changes nothing; "
                 "leave it out, or choose a sensor file with a pre-stretch (and no --solver)"

@@ -79,6 +79,8 @@ class EstimatorOptions:
     friction : float
         Standard deviation of the coefficients of friction of contacts with the exact membrane, see
         `friction_nuisances`; 0 for contacts without friction.
+    friction_given : bool
+        Whether the user chose that, for a warning where it changes nothing.
     image_error : float
         Standard deviation, over the depth, of errors common to a whole depth image since
         calibration: an offset, a scale and tilts; a tenth for a shift of the camera. 0 for none.
@@ -91,6 +93,7 @@ class EstimatorOptions:
     rim_slack_m: float = RIM_SLACK_M
     fine_contact: bool = True
     friction: float = FRICTION
+    friction_given: bool = False
     image_error: float = IMAGE_ERROR
 
     @classmethod
@@ -104,17 +107,17 @@ class EstimatorOptions:
         InputError
             There is no such solver, or the friction is not a number ≥ 0.
         """
-        mu = FRICTION if friction is None else friction
-        check_number("--friction", mu, 0.0)
+        if friction is not None:
+            check_number("--friction", friction, 0.0)
+            return replace(cls.named(name), friction=friction, friction_given=True)
         if name == "fast":
             # A coarse mesh takes larger blocks of pixels and fewer rays too.
-            return cls(LINEAR, nodes=400, fine_contact=False, friction=mu)
+            return cls(LINEAR, nodes=400, fine_contact=False)
         if name in BASE_MESH:
-            return cls(BASE_MESH[name], fine_contact=False, friction=mu)
+            return cls(BASE_MESH[name], fine_contact=False)
         if name in DROPPED:
             raise InputError(f"solver {name}: {DROPPED[name]}")
-        # active-set: its name up to version 0.1
-        return cls(LINEAR if name == "active-set" else name, friction=mu)
+        return cls(LINEAR if name == "active-set" else name)  # its name up to version 0.1
 
 
 class Estimator:
