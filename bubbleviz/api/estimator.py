@@ -276,7 +276,7 @@ class FrameSolver:
 
     def warnings(self, where: str) -> list[str]:
         """Warnings about the frames so far; `where` they are from: recording or source."""
-        return self._warnings.texts(where)
+        return list(self._warnings.texts(where).values())
 
 
 def given_pose(init: str | np.ndarray | None) -> np.ndarray | None:

@@ -37,6 +37,7 @@ class FrameWarnings:
         # frames with contact, and those without after the first that moved; of both, the ones
         # whose image contradicts its known errors
         self._moved, self._later, self._later_moved = 0, 0, 0
+        self._first_moved_s = math.inf
         self._by_depth_only = 0  # frames in which colour contradicts depth
         self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
 
@@ -49,10 +50,14 @@ class FrameWarnings:
         self._statuses[estimate.status] += 1
         self._by_depth_only += estimate.flow_contradicts
         if estimate.image_errors is not None:
-            self._image_errors.append(estimate.image_errors.mean)
-            moved = camera_moved(result)
-            self._moved += estimate.status == "ok" and moved
-            later = self._moved > 0 and estimate.status == "no_contact"
+            known = result.frame.image_errors is not None
+            if known or estimate.status == "no_contact":  # else mixed up with the contact
+                self._image_errors.append(estimate.image_errors.mean)
+            moved, time_s = camera_moved(result), result.frame.time_s
+            if estimate.status == "ok" and moved:
+                self._moved += 1
+                self._first_moved_s = min(self._first_moved_s, time_s)
+            later = estimate.status == "no_contact" and time_s >= self._first_moved_s
             self._later, self._later_moved = self._later + later, self._later_moved + later * moved
         if estimate.seen_share < 1.0:
             self._partly_seen += 1
@@ -62,54 +67,63 @@ class FrameWarnings:
             self._frames_over += 1
             self._most_friction = max(self._most_friction, friction)
 
-    def texts(self, where: str) -> list[str]:
-        """Warnings about the frames so far; `where` they are from: recording or source."""
-        return [text for text in self._found(where) if text]
+    def texts(self, where: str) -> dict[str, str]:
+        """Warnings about the frames so far, by subject; `where` they are from.
 
-    def _found(self, where: str) -> Iterator[str]:
-        yield self._sensor_warning(where)
+        That is the word recording or source.
+        """
+        return {subject: text for subject, text in self._found(where) if text}
+
+    def _found(self, where: str) -> Iterator[tuple[str, str]]:
+        yield "sensor", self._sensor_warning(where)
         misfits = self._statuses["implausible"]
         if misfits and misfits == self._statuses.total():
-            yield NO_FRAME_FITS
+            yield "fit", NO_FRAME_FITS
         elif misfits and not self._statuses["no_contact"]:
             yield (
+                "fit",
                 f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free "
                 "frame confirms the file, so forces in the other frames may be wrong: run "
-                "bubbleviz check with contact-free frames"
+                "bubbleviz check with contact-free frames",
             )
         if (noise := self._zeros.image.noise) > UPPER_95:  # which weakens the evidence of contact
             yield (
+                "noise",
                 f"depth averaged over neighbouring pixels has {noise:.1f} times the noise of the "
                 "sensor file (it is larger, or correlated), so light contacts may not be found: "
-                "identify the sensor again, or turn off spatial filters of the camera"
+                "identify the sensor again, or turn off spatial filters of the camera",
             )
-        yield self._drift_warning()
+        yield "drift", self._drift_warning()
         friction = self._pipeline.options.friction
         frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
         if frictionless and friction and self._pipeline.options.friction_given:
             yield (
+                "friction",
                 f"the linear membrane has no friction, so --friction {friction:g} changes nothing; "
-                "leave it out, or choose a sensor file with a pre-stretch (and no --solver)"
+                "leave it out, or choose a sensor file with a pre-stretch (and no --solver)",
             )
         elif self._frames_over:
             yield (
+                "friction",
                 f"friction in {count_of(self._frames_over, 'frame')} is at least "
                 f"{self._most_friction:.2g} of the normal force, more than the expected "
                 f"coefficient of {friction:.2g}, so the estimate of "
-                "friction is too small: repeat with a larger --friction"
+                "friction is too small: repeat with a larger --friction",
             )
         if self._partly_seen:
             yield (
+                "view",
                 "the camera sees only a part of the contact in "
                 f"{count_of(self._partly_seen, 'frame')} (at least {100 * self._least_seen:.0f} % "
                 "of its area); the force on the unseen part is inferred from the membrane around "
-                "it and less certain. Press nearer to the middle of the image"
+                "it and less certain. Press nearer to the middle of the image",
             )
         if self._by_depth_only:
             yield (
+                "colour",
                 f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
                 "solved by depth alone; their stamps may be of different moments. Give "
-                "--colour-delay"
+                "--colour-delay",
             )
 
     def _drift_warning(self) -> str:

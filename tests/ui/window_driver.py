@@ -103,6 +103,11 @@ class Driver:
         self.wait(lambda: unending() or not controller.worker.busy)
         self.wait_for_redraw()
 
+    def wait_until_counted(self):
+        """Wait until the frames solved so far are in the warnings."""
+        client = self.window.controller.client
+        self.wait(lambda: not (client.frames_counted.isActive() or client.worker.busy))
+
     def wait_until_solved_ahead(self):
         """Wait until the solver is idle: the scales cover the recording."""
         self.wait(lambda: not self.window.controller.worker.busy)

@@ -369,11 +369,13 @@ class PanelWindow(QMainWindow):
         self.setCorner(Qt.Corner.BottomRightCorner, SIDES[below])
 
     def _connect(self) -> None:
+        self.controller.replaced.connect(self.message.drop_warnings)
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
         self.pose.session.changed.connect(self._on_pose)
         self.messages.added.connect(self._show_message)
+        self.messages.revised.connect(self.message.revise)
         self.controller.opening.changed.connect(self.busy.wait_for)
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.compare.measured.connect(self.scene.compare)
@@ -455,12 +457,9 @@ class PanelWindow(QMainWindow):
             own = last_sensor(size)
             if path is not None and name in preset_names("sensors") and own is not None:
                 self.messages.add("notice", f"A preset is in use instead of {own.name}", file=own)
-        self.message.drop_warnings()
         self.message.drop_topic(OPENING)
         if name is not None and name.endswith(".toml"):
             remember_sensor(Path(name), size)
-        if opened.facts.remark:
-            self.messages.add("warning", opened.facts.remark)
         self.scene.depth_camera = opened.camera
         self.stage_times.clear()
         self.scene.set_sensor(opened.sensor, opened.mesh)

@@ -90,6 +90,7 @@ class Analysis(QObject):
         """Store the numbers of the first frames, and request the others."""
         same = demand.patch_rule == self._state.settings.patch_rule
         known = {k: each for k, each in zip(frames, numbers, strict=False) if each}
+        self._client().frames_counted.request()
         if frames is self._frames:  # else others were requested meanwhile
             self._state.remember(tuple(known), tuple(known.values()), same_patch=same)
             self._frames = frames[len(numbers) :]
@@ -123,7 +124,8 @@ what was shown before."""
 class Controller(QObject):
     """Requests what the visible layers and panels need of the frame at the cursor."""
 
-    opened = Signal(object)  # `Opened`: another source or sensor
+    replaced = Signal()  # A source, or its sensor, by the one that is `opened` then
+    opened = Signal(object)  # `Opened`: another source or sensor, or one that was in the background
     shown = Signal(object)  # `Result` to draw
     failed = Signal(object)  # `Failed`, to be shown to the user
     compared = Signal(object, object)  # Compared settings, and the measurement of each
@@ -330,6 +332,7 @@ class Controller(QObject):
             self.client.request_patch()
 
     def _on_opened(self, opened: Opened) -> None:
+        self.replaced.emit()
         self._present(playing=opened.request.playing)
         self.opening.finish(opened.request)
         settings, requested = self.state.settings, opened.request.demand

@@ -19,9 +19,10 @@ from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
 from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import FrameHistory, grown
+from bubbleviz_ui.model.messages import Warnings
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import NO_RESULT, SourceFacts
-from bubbleviz_ui.model.throttle import RateMeter
+from bubbleviz_ui.model.throttle import RateMeter, Throttle
 
 IMAGES_EVERY_S = 0.15
 """Period at which images are updated during playback."""
@@ -30,6 +31,8 @@ TARGET_WAIT_S = 0.004
 GAIN, WAITS = 0.4, 5
 """Of the integral control of the delay, and the number of results whose shortest wait counts."""
 MAX_DELAY_S = 0.1  # longer delays are noticeable
+WARNINGS_EVERY_MS = 1000
+"""Period at which warnings about the solved frames, with their counts, are updated."""
 SAMPLED_FRAMES = 16
 """Frames of a recording solved in advance for its scales, while the solver is idle."""
 IDLE_S = 0.5
@@ -83,6 +86,9 @@ class SensorClient(QObject):
         # Computed for every live frame in addition to what is visible
         self.extra_products: frozenset[Product] = frozenset()
         self.solve_rate = RateMeter()
+        self.name = ""  # Of one of several sensors, in warnings
+        self.frames_counted = Throttle(self, self._request_warnings, WARNINGS_EVERY_MS)
+        self._warned: Warnings = {}
         self._state = state
         self._awaiting = False
         self._imaged_s = 0.0
@@ -239,6 +245,9 @@ class SensorClient(QObject):
                 function, self._take_wrench_bias, key="wrench", due_s=self._background_s
             )
         self.opened_source.emit(opened)  # it may begin to play
+        self._warned = {}  # they were of the previous source
+        self._warn(opened.facts.remark)
+        self.frames_counted.request()
         if opened.facts.frames > 1 and not opened.facts.grows:
             last = opened.facts.frames - 1
             self.scale_to(sorted({round(k) for k in np.linspace(0, last, SAMPLED_FRAMES)}))
@@ -290,8 +299,24 @@ class SensorClient(QObject):
 
     def _announce(self, solved: Solved, *, newest: bool = False) -> None:
         self.solved.emit(solved, newest)
-        if solved.remark:
-            self._state.messages.add("warning", solved.remark)
+        self._warn(solved.remark)
+        self.frames_counted.request()
+
+    def _request_warnings(self) -> None:
+        self.worker.submit(self.solver.warnings, self._take_warnings, key="warnings")
+
+    def _take_warnings(self, texts: dict[str, str]) -> None:
+        named = {subject: f"{self._before}{text}." for subject, text in texts.items()}
+        self._warned = self._state.messages.revise(self._warned, named)
+
+    def _warn(self, text: str) -> None:
+        if text:
+            self._state.messages.add("warning", f"{self._before}{text}")
+
+    @property
+    def _before(self) -> str:
+        """Beginning of a warning about one of several sensors."""
+        return f"{self.name}: " if self.name else ""
 
     def _show(self, solved: Solved) -> None:
         self.result = solved.result

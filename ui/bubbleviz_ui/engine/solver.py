@@ -12,6 +12,7 @@ from typing import Literal, NamedTuple, TypeVar
 
 import numpy as np
 
+from bubbleviz.api.frame_warnings import FrameWarnings
 from bubbleviz.averaging import StillFrames
 from bubbleviz.camera import DepthCamera
 from bubbleviz.diagnostics import Inspection, Numbers, numbers_of, patch_numbers
@@ -28,14 +29,13 @@ from bubbleviz.recordings import (
     Gap,
     HeldFrames,
     Recording,
-    gas_warning,
 )
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import truth_of
-from bubbleviz.zeros import ImageZero, PressureZero, Zeros, drift_warning, wrench_bias, zeros_of
+from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
 from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.shear_reference import ShearReference
 from bubbleviz_ui.engine.source import NO_SOURCE, Source
@@ -138,12 +138,13 @@ class EstimateCache:
             oldest, _ = self._kept.popitem(last=False)
             del self._sizes[oldest]
 
-    def use(self, *, flow: bool) -> None:
-        """Drop all if forces begin or cease to use colour images."""
-        if flow != self._flow:
-            self._flow = flow
+    def use(self, *, flow: bool) -> bool:
+        """Drop all if forces begin or cease to use colour images; whether that is so."""
+        changed, self._flow = flow != self._flow, flow
+        if changed:
             self._kept.clear()
             self._sizes.clear()
+        return changed
 
     def restart(self, pipeline: Pipeline, frame: int) -> None:
         """Restart a pipeline for a frame from the nearest one solved, unless it was the last."""
@@ -162,17 +163,42 @@ def _bytes(value: object) -> int:
     return sum(map(_bytes, vars(value).values())) if is_dataclass(value) else 0
 
 
+# Warnings about the frames solved so far.
+
+
+class SolvedFrames:
+    """Warnings about frames, of which each counts once, however often it is solved."""
+
+    def __init__(self, pipeline: Pipeline, zeros: Zeros) -> None:
+        self._new = partial(FrameWarnings, pipeline, zeros)
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all frames."""
+        self._warnings, self._counted = self._new(), bytearray()
+
+    def take(self, measured: Frame, result: Result) -> None:
+        """Count a frame, as it was measured, if its result has an estimate."""
+        index, counted = measured.index, self._counted
+        counted.extend(bytes(max(index + 1 - len(counted), 0)))
+        if result.estimate is not None and not counted[index]:
+            counted[index] = 1
+            self._warnings.take(measured, result)
+
+    def texts(self, where: str) -> dict[str, str]:
+        """Warnings by subject; `where` the frames are from: recording or source."""
+        return self._warnings.texts(where)
+
+
 LIVE_TIMEOUT_S, POLL_S = 0.05, 0.005
 """Waiting time after which a live source counts as paused, and the period at which a more urgent
 request is checked for meanwhile."""
 ANALYSIS_SLICE_S = 0.03
 """How long the analysis of all frames may delay a requested frame."""
-UNCALIBRATED = (
-    "the sensor file has no calibrated pixels, and does not fit the depth without contact; "
-    "identify the sensor in the Calibration panel"
-)
 REPORTED_ZERO_PA = 50.0
 """Smallest reported gas pressure offset of a recording: 1 % of a typical gauge pressure."""
+MISFITS = frozenset({"drift", "fit"})
+"""Subjects of warnings that the sensor file does not fit."""
 PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 """Products that follow from a cached estimate at another κ."""
 
@@ -190,10 +216,11 @@ class OpenSource:
     pipeline: Pipeline
     side_by_side: SettingsComparison
     wrench_bias: Iterator[np.ndarray | None]
+    zeros: Zeros
+    solved: SolvedFrames
     shear: ShearReference = field(default_factory=ShearReference)
     estimates: EstimateCache = field(default_factory=EstimateCache)
     solver_process: PipelineProcess | None = None
-    zeros: Zeros = field(default_factory=lambda: Zeros(None, ImageZero()))
 
     @property
     def recording(self) -> Recording | None:
@@ -219,17 +246,17 @@ class OpenSource:
         cold: bool = False,
     ) -> Result:
         """Products of a frame; of a live one with its zeros, which follow it."""
-        pipeline, stream = self.pipeline, self.opened.stream
+        pipeline, stream, measured = self.pipeline, self.opened.stream, frame
         if self.opened is NO_SOURCE:
             return Result(frame)
         if stream is not None:
             # the solver process averages its frames itself
             zeros = self.zeros if solver_process is None else self.zeros._replace(still=None)
-            measured, frame = frame, zeros.zeroed(frame, pipeline)
+            frame = zeros.zeroed(frame, pipeline)
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
-        if self.has_colour:
-            self.estimates.use(flow=demand.flow)
+        if self.has_colour and self.estimates.use(flow=demand.flow):
+            self.solved.restart()
         estimate = None if products & FLOW_PRODUCTS else self.estimates.final(frame.index)
         if cold and estimate is None:
             pipeline.restart()
@@ -241,6 +268,7 @@ class OpenSource:
             result = solver_process.process(frame, products, demand.options)
         if stream is not None:
             self.zeros.follow(measured, result, pipeline)
+        self.solved.take(measured, result)
         if products & FLOW_PRODUCTS:
             self.shear.add_frame(result)
         return result
@@ -267,6 +295,10 @@ class OpenSource:
             final = cold and result.flow is None
             self.estimates.keep(index, Kept(numbers, estimate, self.pipeline.start, final))
         return numbers
+
+    def warnings(self) -> dict[str, str]:
+        """Warnings about the frames solved so far, by subject."""
+        return self.solved.texts("source" if self.opened.live else "recording")
 
     def close(self) -> None:
         """Close the source and end the solver process."""
@@ -424,26 +456,23 @@ class Solver:
         numbers, done_s = current.numbers(result, cold=cold), time.perf_counter()
         known = current.estimates.final(frame.index)
         final = known is not None and known is result.estimate
-        remark = self._misfit_remark(current, result.frame, cold=cold)
+        remark = self._sensor_file_remark(current) if cold else ""
         return Solved(demand, result, numbers, done_s, final, remark=remark)
 
-    def _misfit_remark(self, current: OpenSource, frame: Frame, *, cold: bool) -> str:
-        """Warning, once per source, if images without contact contradict the sensor file."""
-        remark, errors, pipeline = "", frame.image_errors, current.pipeline
-        if self._checked is current:
+    def _sensor_file_remark(self, current: OpenSource) -> str:
+        """Warning, once, if the first contact-free frames of a recording contradict its sensor.
+
+        Not while playing, as it takes seconds, nor if the frames solved so far tell it.
+        """
+        recording = current.recording
+        if recording is None or self._checked is current or MISFITS & current.warnings().keys():
             return ""
-        if errors is not None:  # known from images without contact
-            measured = frame.gas_pressure_pa is not None
-            remark = drift_warning(errors.mean, pipeline, gas_measured=measured)
-        if remark:
-            remark = UNCALIBRATED if pipeline.model.pixels is None else remark
-            stream, name = current.opened.stream, current.source.name
-            remark = f"{name}: {remark}" if stream is not None and stream.paired else remark
-            self._checked = current
-        elif cold and current.recording is not None:  # not while playing, as it takes seconds
-            remark = _sensor_file_remark(current.recording, pipeline.model)
-            self._checked = current
-        return remark
+        self._checked = current
+        return _checked_remark(recording, current.pipeline.model)
+
+    def warnings(self) -> dict[str, str]:
+        """Warnings about the frames solved so far, by subject."""
+        return self._open.warnings()
 
     def open(self, request: OpenRequest) -> Opened:
         """Open a source in place of the current one.
@@ -464,18 +493,13 @@ class Solver:
                 sigma_pa = sensor.pneumatics.atmospheric_sigma_pa
                 stream.zero.refer_to(pipeline.model.gas.P0, sigma_pa)
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
-            bias = wrench_bias(source, pipeline)
-            current = OpenSource(request.source, source, pipeline, settings, bias)
-            if stream is not None:
-                current = replace(current, zeros=Zeros.of_stream(stream.zero, pipeline, stream))
+            bias, zeros = wrench_bias(source, pipeline), _zeros(source, stream, pipeline)
+            counted = SolvedFrames(pipeline, zeros)
+            current = OpenSource(request.source, source, pipeline, settings, bias, zeros, counted)
             products = current.shear.products(source, pipeline, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
-            measured_pa = frame.gas_pressure_pa
             if current.recording is not None:
-                current = replace(current, zeros=zeros_of(current.recording, pipeline))
-                frame = current.zeros.applied(frame)
-                if current.zeros.gas is not None:
-                    measured_pa = current.zeros.gas.rest_pa or measured_pa
+                frame = zeros.applied(frame)
             result = current.process(frame, request.demand)
             if request.cancelled.is_set():
                 raise Cancelled
@@ -490,19 +514,25 @@ class Solver:
         if before is not None:
             before.close()
         numbers, result = current.numbers(result), current.diagnose(result, request.demand)
-        facts, camera, mesh = _facts(current, sensor, measured_pa), pipeline.camera, pipeline.mesh
+        facts, camera, mesh = _facts(current, sensor), pipeline.camera, pipeline.mesh
         return Opened(request, facts, sensor, camera, mesh, result, numbers)
 
 
-def _facts(current: OpenSource, sensor: Sensor, measured_pa: float | None) -> SourceFacts:
+def _zeros(source: FrameSource, stream: LiveFrames | None, pipeline: Pipeline) -> Zeros:
+    if stream is not None:
+        return Zeros.of_stream(stream.zero, pipeline, stream)
+    recorded = isinstance(source, Recording)
+    return zeros_of(source, pipeline) if recorded else Zeros(None, ImageZero())
+
+
+def _facts(current: OpenSource, sensor: Sensor) -> SourceFacts:
     """Properties of an opened source."""
     opened, source, stream = current.opened, current.source, current.opened.stream
     recording = current.recording
     zero = current.zeros.gas if stream is None else None  # a live source reports its zero later
     # recordings have a note
-    remarks = [str(getattr(source, "note", "")), current.pipeline.model.contradiction]
+    remarks = [str(getattr(source, "note", ""))]
     if stream is None:
-        remarks.append(gas_warning(measured_pa, current.pipeline.model.gas.P0))
         remarks.append(_zero_remark(zero))
     return SourceFacts(
         source.name,
@@ -586,13 +616,17 @@ def _process_ended_remark(current: OpenSource, reason: str) -> str:
 
 
 def _zero_remark(zero: PressureZero | None) -> str:
-    """Remark on a recording's zero; empty if its offset is within the sensor's noise."""
-    if zero is None or (zero.offset_pa is not None and abs(zero.offset_pa) < REPORTED_ZERO_PA):
+    """Remark on a recording's zero; empty if its offset is within the sensor's noise.
+
+    That of a sensor which repeats one value is told by `SolvedFrames`.
+    """
+    if zero is None or zero.frozen:
         return ""
-    return zero.words
+    small = zero.offset_pa is not None and abs(zero.offset_pa) < REPORTED_ZERO_PA
+    return "" if small else zero.words
 
 
-def _sensor_file_remark(source: Recording, model: SensorModel) -> str:
+def _checked_remark(source: Recording, model: SensorModel) -> str:
     """Warning if the first contact-free frames of a recording contradict the sensor file."""
     # not at start
     from bubbleviz.calibration import check_sensor
@@ -606,6 +640,9 @@ def _sensor_file_remark(source: Recording, model: SensorModel) -> str:
     except InputError:
         return ""
     if found.verdict == "drifted" and model.pixels is None:
-        return UNCALIBRATED
+        return (
+            "the sensor file has no calibrated pixels, and does not fit the depth without contact; "
+            "identify the sensor in the Calibration panel"
+        )
     contradicts = "frames without contact contradict the sensor file"
     return "" if found.verdict == "fits" else f"{contradicts}; {found.reason}"

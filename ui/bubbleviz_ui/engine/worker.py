@@ -18,8 +18,8 @@ from bubbleviz.progress import Cancelled
 
 OPEN = "open"
 KEYS = (
-    OPEN, "object", "reference", "patch", "frame", "newest", "cold_solve", "compare", "wrench",
-    "scale", "analyse",
+    OPEN, "warnings", "object", "reference", "patch", "frame", "newest", "cold_solve", "compare",
+    "wrench", "scale", "analyse",
 )  # fmt: skip
 """Jobs of the solver thread, most urgent first."""
 PROGRESS_EVERY_S = 0.05

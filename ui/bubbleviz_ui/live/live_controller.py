@@ -8,7 +8,6 @@ from pathlib import Path
 from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.live import STALE_AFTER_S, LiveSensor, SessionPreset, is_simulated
-from bubbleviz.recordings import gas_warning
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
 from bubbleviz_ui.engine.source import Source
@@ -198,19 +197,15 @@ class LiveController(QObject):
         self.updated.emit()
 
     def _warn(self) -> None:
-        """Warn once per sensor of data that never change, and of a gas pressure unlike its file."""
+        """Warn once per sensor of images that never change."""
         if self.run is None or not self._first_drawn:  # opening clears the message bar
             return
         sensors = self.run.session.sensors
         found: set[str] = set()
         for live in sensors:
-            zero = live.zero
-            gas = zero.frozen_warning("source") or gas_warning(
-                zero.rest_pa, zero.reference_pa, "without contact"
-            )
-            hung = live.stream.frozen and not is_simulated(live.place.source)
-            for text in filter(None, (gas, CAMERA_HUNG if hung else "")):
-                found.add(f"{live.place.name}: {text}." if len(sensors) > 1 else f"{text}.")
+            if live.stream.frozen and not is_simulated(live.place.source):
+                before = f"{live.place.name}: " if len(sensors) > 1 else ""
+                found.add(f"{before}{CAMERA_HUNG}.")
         for text in sorted(found - self._warnings):
             self.state.messages.add("warning", text)
         self._warnings = frozenset(found)

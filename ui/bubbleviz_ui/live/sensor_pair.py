@@ -77,6 +77,7 @@ class SensorPair(QObject):
         if self._prepared and source is self._prepared[0].source:
             self.end()
             self.sensors, self._prepared, self.selected = self._prepared, (), 0
+            self._controller.client.name = self.sensors[0].name
             self._place()
         if self.sensors and source is self.sensors[self.selected].source:
             self._begin()
@@ -90,6 +91,7 @@ class SensorPair(QObject):
         if self.drawing is None:
             self.drawing = SecondScene(self._view, state.units, self._scene.scales)
         self.second = second = SensorClient(state)
+        second.name = other.name
         second.extra_products = self._controller.client.extra_products
         self._listen(second)
         second.open(
@@ -144,6 +146,7 @@ class SensorPair(QObject):
     def end(self) -> None:
         """Remove the second sensor; its solver thread ends by itself."""
         second, self.second, self.sensors = self.second, None, ()
+        self._controller.client.name = ""
         if second is not None:
             self._ending = [each for each in [*self._ending, second.worker] if not each.close(0.0)]
         if self.drawing is not None:

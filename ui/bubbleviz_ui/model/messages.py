@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Literal
@@ -14,6 +14,8 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.errors import InputError
 
 MessageKind = Literal["notice", "warning", "error"]
+Warnings = dict[str, "UserMessage"]
+"""Warnings by subject."""
 OPENING = "opening"
 """Topic of failures to open or connect."""
 SOURCE = "source"
@@ -48,6 +50,8 @@ class Messages(QObject):
     """All messages of a window since it was opened."""
 
     added = Signal(object)  # A `UserMessage`
+    # A `UserMessage` that does not hold any more, and the one in its place or None
+    revised = Signal(object, object)
 
     def __init__(self, parent: QObject) -> None:
         super().__init__(parent)
@@ -61,11 +65,29 @@ class Messages(QObject):
         *,
         file: Path | None = None,
         topic: str = "",
-    ) -> None:
+    ) -> UserMessage:
         """Log a message, with the fields of `UserMessage`, and emit `added`."""
         message = UserMessage(kind, text, details, file, topic=topic)
         self.all.append(message)
         self.added.emit(message)
+        return message
+
+    def revise(self, before: Warnings, texts: dict[str, str]) -> Warnings:
+        """Log warnings that hold now, by subject, in place of those known before."""
+        for subject in before.keys() - texts.keys():
+            self.revised.emit(before[subject], None)
+        return {key: self._revised(before.get(key), text) for key, text in texts.items()}
+
+    def _revised(self, message: UserMessage | None, text: str) -> UserMessage:
+        if message is None:
+            return self.add("warning", text)
+        if message.text == text:
+            return message
+        new = replace(message, text=text)
+        logged = (new if each is message else each for each in self.all)
+        self.all = deque(logged, MAX_MESSAGES)
+        self.revised.emit(message, new)
+        return new
 
     def report(self, topic: str, path: Path, write: Callable[[], str | None]) -> bool:
         """Write a file and report that, or why it failed. Returns whether the file was written.

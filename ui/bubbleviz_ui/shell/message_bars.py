@@ -117,6 +117,12 @@ class MessageBar(_Bar):
         self._open.append(message)
         self._show_open()
 
+    def revise(self, message: UserMessage, new: UserMessage | None) -> None:
+        """Show a message in place of another, or none, unless that was dismissed."""
+        revised = [new if other is message else other for other in self._open]
+        self._open = [other for other in revised if other is not None]
+        self._show_open()
+
     def drop_warnings(self) -> None:
         """Remove warnings, when their source is closed."""
         self._keep(lambda message: message.kind == "error")

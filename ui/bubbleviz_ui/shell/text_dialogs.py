@@ -60,9 +60,9 @@ class MessagesDialog(TextDialog):
         super().__init__(parent, "Messages of this session", copied)
         self._messages = messages
         self.text.setPlaceholderText("No messages yet")
-        for message in messages.all:
-            self._add(message)
+        self._write()
         messages.added.connect(self._add)
+        messages.revised.connect(self._write)
 
     def report(self) -> str:
         """All messages with their details."""
@@ -70,6 +70,9 @@ class MessagesDialog(TextDialog):
 
     def _add(self, message: UserMessage) -> None:
         self.text.appendPlainText(message.line())
+
+    def _write(self) -> None:
+        self.text.setPlainText("\n".join(message.line() for message in self._messages.all))
 
 
 class InformationDialog(TextDialog):
