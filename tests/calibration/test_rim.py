@@ -112,7 +112,7 @@ def test_a_wrong_focal_length_is_told_by_identify_check_and_estimate(focal, tmp_
     run = bv.estimate(bv.open(tmp_path / "rest.mcap")[:3], tmp_path / "wrong.toml")
     for warning in (check.warning, run.warning):
         assert f"fx = {focal * true:g} in the sensor file" in warning
-        assert "correct the camera info" in warning
+        assert "correct camera info or rim" in warning
 
 
 def test_the_right_focal_length_is_not_doubted_and_a_wrong_one_not_forgotten(tmp_path):
