@@ -40,9 +40,6 @@ at least that pressure; ±2 % is taken as the 95 % interval. Frames of one recor
 temperature, so a press in the same recording does not have this error."""
 RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}
 _FILE = "the sensor file"
-_RIM_OFF = 0.02
-"""Height of the edge above the rim over the dome's that is no error: the largest relative error of
-γ0 in a good identification."""
 
 
 @dataclass(frozen=True)
@@ -149,22 +146,13 @@ class Identification:
         return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
 
     @property
-    def edge_at_rim(self) -> bool:
-        """Whether the edge of the cloud has the height of the sensor file's rim."""
-        surfaces, height = self.surfaces, self.surfaces.dimensions["height_m"].value
-        limit = max(3.0 * surfaces.rim_height_sigma_m, _RIM_OFF * height)
-        return abs(surfaces.rim_height_m) <= limit
-
-    @property
     def focal_by_rim_px(self) -> dict[str, Quantity]:
         """`fx` and `fy`, pixels, at which the rim has its size before the first identification.
 
-        Empty where the edge of the cloud is not the rim or does not determine them.
+        Empty where the edge of the cloud does not determine them.
         """
-        if not self.edge_at_rim:
-            return {}
         camera, calibration = self.given.camera, self.given.calibration
-        found = dict(zip(("fx", "fy"), self.surfaces.focal_by_rim_px or (), strict=False))
+        found = dict(self.surfaces.focal_by_rim_px)
         for name, of in found.items():
             before = None if calibration is None else getattr(calibration, f"{name}_interval")
             if before is not None:  # the rim of the file was measured with the file's focal length

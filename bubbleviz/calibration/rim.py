@@ -56,28 +56,30 @@ def lateral_scale(
     edge err together, and how many do is unknown, so the σ of the fit to all of them is as large as
     if only one were independent. None: the edge does not determine both scales.
 
-    Where depth ends above the rim, the edge is smaller than the rim, unless the height is an error
-    of the camera's pose; then the edge is the rim. The scale is uniform between both.
+    Where the edge is above the rim, either depth ends early, and the rim is where the cap continues
+    to its plane, or the camera's pose is wrong, and the edge is the rim. The scale is uniform
+    between both.
     """
-    fit = _RimFit(edge_m, rim_m, camera)
-    found = fit.found(cap.centre_m[:2])
-    if found is None:
+    height = edge_m[:, 2:]
+    continued = cap.centre_m + (edge_m - cap.centre_m) * (_width(cap, 0.0) / _width(cap, height))
+    continued[:, 2:] = height
+    first, other = (
+        _RimFit(points, rim_m, camera).found(cap.centre_m[:2]) for points in (edge_m, continued)
+    )
+    if first is None or other is None:
         return None
-    values, weights, variance = found
-    height = fit.scaled(values)[:, 2]
-    mean = np.average(height, weights=weights)
-    spread = np.sqrt(np.average((height - mean) ** 2, weights=weights))
-    below, edge, above = (_width(cap, mean + side * spread) for side in (-1, 0, 1))
-    rim, drawn = _width(cap, 0.0), _DRAWN_SIGMA_M / fit.size_m
-    errors = (1.0 - edge / rim) / np.sqrt(12.0), 0.5 * (below - above) / rim, drawn
-    scale = np.exp(values[:2]) * 0.5 * (1.0 + edge / rim)
-    return scale, scale * np.sqrt(variance[:2] + np.sum(np.square(errors)))
+    (size, variance), (other_size, other_variance) = first, other
+    of_height = (size - other_size) ** 2 / 12.0
+    drawn = _DRAWN_SIGMA_M / np.hypot(rim_m[:, 0], rim_m[:, 1]).mean()
+    relative = np.sqrt(np.maximum(variance, other_variance) + of_height + drawn**2)
+    scale = np.exp(0.5 * (size + other_size))
+    return scale, scale * relative
 
 
-def _width(cap: Ellipsoid, height_m: float) -> float:
-    """Width of a cap at a height over its largest one."""
+def _width(cap: Ellipsoid, height_m: float | np.ndarray) -> np.ndarray:
+    """Width of a cap at heights over its largest one; at its top and above, a tenth."""
     above = (height_m - cap.centre_m[2]) / cap.semi_axes_m[2]
-    return float(np.sqrt(max(1.0 - above**2, 0.0)))
+    return np.asarray(np.sqrt(np.maximum(1.0 - above**2, 0.01)))
 
 
 class _RimFit:
@@ -91,13 +93,13 @@ class _RimFit:
         angle, radius = np.arctan2(rim_m[:, 1], rim_m[:, 0]), np.hypot(rim_m[:, 0], rim_m[:, 1])
         order = np.argsort(angle)
         self._angle, self._radius = angle[order], radius[order]
-        self.size_m = float(radius.mean())
+        self._size_m = float(radius.mean())
 
-    def found(self, centre_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-        """Values (4,), weights of the points (k,), variances (4,); None: not determined."""
-        values = np.concatenate([np.zeros(2), centre_m / self.size_m])
+    def found(self, centre_m: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Logarithms of the scales (2,) and their variances (2,); None: not determined."""
+        values = np.concatenate([np.zeros(2), centre_m / self._size_m])
         for _ in range(_STEPS):
-            left, J = self.beyond(values), self._derivatives(values)
+            left, J = self._beyond(values), self._derivatives(values)
             weights = tukey_weights(left, max(robust_sigma(left, center=0.0), _DIFFERENCE))
             freedom = float(weights.sum()) - len(values)
             normal = J.T * weights @ J
@@ -108,28 +110,22 @@ class _RimFit:
             values = values - step * min(1.0, _LARGEST_STEP / size)
             if size < _TOLERANCE:
                 single = weights @ left**2 / freedom * (stdtrit(freedom, 0.975) / HALF_95) ** 2
-                return values, weights, single * weights.sum() * np.diag(np.linalg.inv(normal))
+                variance = single * weights.sum() * np.diag(np.linalg.inv(normal))
+                return values[:2], variance[:2]
         return None
 
-    def scaled(self, values: np.ndarray) -> np.ndarray:
-        """The edge in B about the centre (k, 3), m."""
-        scaled = self._camera.center + self._local * (*np.exp(values[:2]), 1.0) @ self._turn
-        return np.asarray(scaled - (*values[2:] * self.size_m, 0.0))
-
-    def beyond(self, values: np.ndarray) -> np.ndarray:
+    def _beyond(self, values: np.ndarray) -> np.ndarray:
         """Distance of the edge from the rim over the radius, (k,), as long as before scaling.
 
         The scaled distance would vanish with the scale.
         """
-        x, y, _ = self.scaled(values).T
+        turn = self._camera.T_B_C[:3, :3].T
+        scaled = self._camera.center + self._local * (*np.exp(values[:2]), 1.0) @ turn
+        x, y = (scaled[:, :2] - values[2:] * self._size_m).T
         radius = np.interp(np.arctan2(y, x), self._angle, self._radius, period=2.0 * np.pi)
         return np.asarray((np.hypot(x, y) / radius - 1.0) * np.exp(-values[:2].mean()))
 
     def _derivatives(self, values: np.ndarray) -> np.ndarray:
         steps = _DIFFERENCE * np.eye(len(values))
-        ends = [self.beyond(values + step) - self.beyond(values - step) for step in steps]
+        ends = [self._beyond(values + step) - self._beyond(values - step) for step in steps]
         return np.stack(ends, axis=1) / (2.0 * _DIFFERENCE)
-
-    @property
-    def _turn(self) -> np.ndarray:
-        return self._camera.T_B_C[:3, :3].T

@@ -63,8 +63,8 @@ class Surfaces:
     # height of the cloud's edge above the rim plane z = 0, and its uncertainty, m
     rim_height_m: float
     rim_height_sigma_m: float
-    # fx and fy, pixels, at which that edge has the size of the sensor file's rim; None: unknown
-    focal_by_rim_px: tuple[Quantity, Quantity] | None
+    # `fx` and `fy`, pixels, at which that edge has the size of the sensor file's rim; or empty
+    focal_by_rim_px: dict[str, Quantity]
     camera: DepthCamera  # in B, whose origin lies below the chosen surface's centre
     # membrane, fitted: (H, W) bool, pixels that see the membrane, and those of them that were
     # fitted: far enough from its edges, and in every `stride`th row and column
@@ -184,19 +184,15 @@ def fit_surfaces(
     )
 
 
-def _focal_by_rim(
-    edge_m: np.ndarray, samples: FrameSamples, cap: Ellipsoid
-) -> tuple[Quantity, Quantity] | None:
-    camera = samples.camera
-    found = lateral_scale(edge_m, samples.rim_m, camera, cap)
+def _focal_by_rim(edge_m: np.ndarray, samples: FrameSamples, cap: Ellipsoid) -> dict[str, Quantity]:
+    found = lateral_scale(edge_m, samples.rim_m, samples.camera, cap)
     if found is None:
-        return None
-    focal = np.array([camera.intrinsics.fx, camera.intrinsics.fy]) / found[0]
-    fx, fy = (
-        Quantity.normal(float(f), float(f * sigma), "size of the rim")
-        for f, sigma in zip(focal, found[1], strict=True)
-    )
-    return fx, fy
+        return {}
+    focal = {}
+    for name, scale, sigma in zip(("fx", "fy"), *found, strict=True):
+        value = getattr(samples.camera.intrinsics, name) / scale
+        focal[name] = Quantity.normal(float(value), float(value * sigma / scale), "size of the rim")
+    return focal
 
 
 def segment_membrane(samples: FrameSamples) -> tuple[np.ndarray, np.ndarray]:

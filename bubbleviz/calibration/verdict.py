@@ -48,9 +48,8 @@ def grade(found: Identification) -> Grade:
     tension = found.tension
     relative = _relative(tension)
     force = _relative(found.reference_force)
-    contradictory = found.contradicts_file or found.levels_contradict
-    contradictory = contradictory or found.focal_contradicts_rim
-    if relative > _USABLE or force > _USABLE_FORCE or contradictory:
+    contradictions = found.contradicts_file, found.levels_contradict, found.focal_contradicts_rim
+    if relative > _USABLE or force > _USABLE_FORCE or any(contradictions):
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
 
@@ -145,11 +144,12 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             "the surface is extrapolated from the fitted cap, and contact is only inferred."
             " Uncover the camera, or check its pose in the sensor file."
         )
-    if not found.edge_at_rim:
+    height = surfaces.dimensions["height_m"].value
+    rim = surfaces.rim_height_m
+    if abs(rim) > max(3.0 * surfaces.rim_height_sigma_m, _GOOD * height):
         out.append(
-            f"The edge of the cloud lies at z = {1e3 * surfaces.rim_height_m:+.1f} mm, the rim of"
-            " the sensor file at 0: uncover the rim, or correct the camera's pose in the sensor"
-            " file."
+            f"The edge of the cloud lies at z = {1e3 * rim:+.1f} mm, the rim of the sensor file at "
+            "0: uncover the rim, or correct the camera's pose in the sensor file."
         )
     if found.shapes_kind and found.prestretch is None and not found.levels_contradict:
         kept = found.given.membrane.prestretch
