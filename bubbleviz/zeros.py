@@ -334,6 +334,11 @@ class Zeros(NamedTuple):
         image.fixed = still is None
         return cls(gas, image, still)
 
+    def of_copy(self, source: FrameSource, pipeline: Pipeline) -> Zeros:
+        """Zeros of the same recording that was opened again, for an equal pipeline."""
+        still = None if self.still is None else StillFrames(pipeline, source)
+        return self._replace(still=still)
+
     def applied(self, frame: Frame) -> Frame:
         """The frame with corrected gas pressure, known errors and mean of the depth image."""
         frame = self.image.applied(frame if self.gas is None else self.gas.applied(frame))

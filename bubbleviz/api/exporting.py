@@ -25,7 +25,7 @@ from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO
 from bubbleviz.wording import count_of
-from bubbleviz.zeros import zeros_of
+from bubbleviz.zeros import Zeros, zeros_of
 
 
 @dataclass(frozen=True)
@@ -118,10 +118,12 @@ def export_frames(
     plan: ExportPlan,
     progress: Progress = quiet,
     besides: frozenset[Product] = frozenset(),
+    zeros: Zeros | None = None,
 ) -> ExportSummary:
     """Compute what the plan's files need, and the products `besides`, and write the files.
 
-    Give a pipeline of its own, as it is warm-started from frame to frame. Nothing is written if an
+    Give a pipeline of its own, as it is warm-started from frame to frame. Zeros that are not given
+    are searched. Nothing is written if an
     InputError or `Cancelled` is raised.
     """
     with whole_file(plan.out, overwrite=plan.overwrite) as temporary:
@@ -129,7 +131,8 @@ def export_frames(
             temporary.mkdir()
         exporters = plan.exporters(pipeline, temporary)
         products = besides.union(*(each.products for each in exporters))
-        zeros = zeros_of(frames.source, pipeline) if "estimate" in stages(products) else None
+        if zeros is None and "estimate" in stages(products):
+            zeros = zeros_of(frames.source, pipeline)
         for result in solved(frames, FrameSolver(pipeline, products, options, zeros), progress):
             for each in exporters:
                 each.add(result)

@@ -13,6 +13,7 @@ from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage
 from window_driver import CTRL, Driver, clipped_texts, pressure_coloured, view_texts
 
+import bubbleviz as bv
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import LoopedSource, default_press
@@ -22,6 +23,7 @@ from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import TOPIC
 from bubbleviz_ui.view3d.tools import picture_of
 from tests.shear.texture_bag import HELD, write_texture_press
+from tests.small_press import write_press, write_small_sensor
 
 
 class Bench(Driver):
@@ -99,6 +101,23 @@ def test_table_has_the_forces_of_the_window_also_with_colour(drive, monkeypatch,
     message, force = exported("colour.csv")
     assert force == pytest.approx(shown(), rel=3e-3) and "by depth and colour" in message
     assert abs(force - shown()) < abs(force - by_depth)
+    bench.release()
+
+
+def test_table_equals_that_of_the_command(drive, monkeypatch, tmp_path):
+    """Although the zeros are those that the window has found."""
+    file = write_small_sensor(tmp_path / "small.toml")
+    path = write_press(tmp_path / "press.mcap", file, [0.060] * 18 + [0.046, 0.044, 0.042, 0.060])
+    bench = Bench(drive(Source.of_recording(path), sensor=load_sensor(file), frame=19), monkeypatch)
+    bench.state.set_range((17, 20))
+    bench.export("Table", tmp_path / "window.csv")
+    bv.export(bv.open(path)[17:21], tmp_path / "command.csv", file)
+    tables = []
+    for name in ("window.csv", "command.csv"):
+        with (tmp_path / name).open() as text:
+            rows = list(csv.DictReader(text))
+        tables.append([{k: row[k] for k in row if not k.endswith("_ms")} for row in rows])
+    assert len(tables[0]) == 4 and tables[0] == tables[1]
     bench.release()
 
 

@@ -72,6 +72,7 @@ class Opened:
     mesh: MembraneMesh
     result: Result
     numbers: Numbers
+    zeros: Zeros | None = None  # Of a recording
 
 
 @dataclass(frozen=True)
@@ -515,7 +516,8 @@ class Solver:
             before.close()
         numbers, result = current.numbers(result), current.diagnose(result, request.demand)
         facts, camera, mesh = _facts(current, sensor), pipeline.camera, pipeline.mesh
-        return Opened(request, facts, sensor, camera, mesh, result, numbers)
+        of_recording = None if current.recording is None else zeros
+        return Opened(request, facts, sensor, camera, mesh, result, numbers, of_recording)
 
 
 def _zeros(source: FrameSource, stream: LiveFrames | None, pipeline: Pipeline) -> Zeros:

@@ -255,8 +255,8 @@ class Exporting(QObject):
 
         `captioned`: Write frame number and time into the pictures of a video.
         """
-        source, sensor = self._controller.opening.source, self._controller.sensor
-        if self.busy or source is None or sensor is None or not frames:
+        opened = self._controller.opening.current
+        if self.busy or opened is None or not frames:
             return
         settings = self._state.settings
         if kind.is_video:
@@ -270,8 +270,18 @@ class Exporting(QObject):
             from bubbleviz_ui.export.file_export import export_to_files
 
             poses = {frame: pose_columns(row) for frame, row in self._poses().items()}
-            how = (Demand.of(settings), settings.options, poses)
-            job = partial(export_to_files, source.open, sensor, frames, path, kind.what, *how)
+            job = partial(
+                export_to_files,
+                opened.request.source.open,
+                opened.sensor,
+                frames,
+                path,
+                kind.what,
+                Demand.of(settings),
+                opened.request.options,  # those of the zeros
+                opened.zeros,
+                poses,
+            )
         function = partial(job, self._worker.progress)
         self._worker.submit(function, partial(self._on_done, path), self._on_refused)
         self.progressed.emit("starting", 0.0)

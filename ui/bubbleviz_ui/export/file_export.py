@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from bubbleviz.progress import Progress
     from bubbleviz.recordings import FrameSource
     from bubbleviz.sensor import Sensor
+    from bubbleviz.zeros import Zeros
 
 
 def export_to_files(
@@ -30,6 +31,7 @@ def export_to_files(
     what: str,
     demand: Demand,  # Of the window: rule of the patch, and whether forces use colour images
     estimator: EstimatorOptions,
+    zeros: Zeros | None,  # Of the window's recording; None for other sources
     poses: dict[int, dict[str, Any]],  # Pose columns by frame, see `bubbleviz.output.pose_writer`
     progress: Progress,
 ) -> str:
@@ -46,8 +48,10 @@ def export_to_files(
     try:
         pipeline = Pipeline.of(sensor, source[frames[0]].intrinsics, estimator)
         besides = ShearReference().products(source, pipeline, demand) & FLOW_PRODUCTS
-        options = FrameOptions(*demand.patch_rule)
-        done = export_frames(Frames(source, frames), pipeline, options, plan, progress, besides)
+        if zeros is not None:
+            zeros = zeros.of_copy(source, pipeline)
+        how = FrameOptions(*demand.patch_rule), plan, progress, besides, zeros
+        done = export_frames(Frames(source, frames), pipeline, *how)
         by_colour = pipeline.optical_flow is not None
     finally:
         source.close()
