@@ -264,7 +264,8 @@ def _row(
     if pose.status != "ok":
         return row
     equivalents = metrics.equivalents(pose.T_B_O, true)
-    off = np.array([motion_between(pose.T_B_O, T, pose.center_m) for T in equivalents])
+    origin = pose.T_B_O[:3, 3]
+    off = np.array([motion_between(pose.T_B_O, T, origin) for T in equivalents])
     distance2 = np.einsum("si,si->s", off, np.linalg.solve(pose.covariance, off.T).T).min()
     return replace(row, **vars(metrics.errors(pose.T_B_O, true)), distance2=float(distance2))
 

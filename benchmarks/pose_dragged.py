@@ -179,7 +179,7 @@ class _Bench:
                 off = metrics.errors(T, true)
                 if len(axes) == 3:  # a ball, whose centre is determined, all of it
                     off = replace(off, error_m=off.whole_m, error_rad=off.whole_rad)
-                distance2 = _distance2(T, poses[number], pose.covariance, pose.center_m, axes)
+                distance2 = _distance2(T, poses[number], pose.covariance, axes)
                 told = motion_between(T, poses[number], pose.center_m)
                 told = np.linalg.solve(pose.motions, told) * pose.determined
                 told_m = float(np.linalg.norm((pose.motions @ told)[:3]))
@@ -201,13 +201,12 @@ def _distance2(
     T_B_O: np.ndarray,
     true: np.ndarray,
     covariance: np.ndarray,
-    center: np.ndarray,
     axes: np.ndarray,
 ) -> float:
     """Squared Mahalanobis distance over its 95 % quantile, where turns about the axes are free."""
-    off, information = motion_between(T_B_O, true, center), np.linalg.inv(covariance)
-    turns = axes @ true[:3, :3].T
-    free = np.hstack([np.cross(turns, center - true[:3, 3]), turns])
+    origin, information = T_B_O[:3, 3], np.linalg.inv(covariance)
+    off, turns = motion_between(T_B_O, true, origin), axes @ true[:3, :3].T
+    free = np.hstack([np.cross(turns, origin - true[:3, 3]), turns])
     pulled = free @ information
     off = off - free.T @ np.linalg.solve(pulled @ free.T, pulled @ off)
     return float(off @ information @ off / chi2(6 - len(axes)).ppf(0.95))

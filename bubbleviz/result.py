@@ -348,7 +348,8 @@ class Stage:
 class Pose:
     """Pose of the object.
 
-    Small motions are in B about `center_m`: translation in m, then rotation in rad.
+    The small motions of `motions` are in B about `center_m`: translation in m, then rotation in
+    rad.
 
     Attributes
     ----------
@@ -360,8 +361,9 @@ class Pose:
     center_m : (3,) array
         Centre of the patch.
     covariance : (6, 6) array
-        Of small motions, from contact, the depth image around it, and earlier frames; with the
-        other poses of a search that are not refuted, by their places about the object's origin.
+        Of the origin's position in B, m, and of a rotation vector about it in B, rad; from contact,
+        the depth image around it, and earlier frames, with the other poses of a search that are
+        not refuted.
     motions : (6, 6) array
         Six independent small motions in columns, best determined first; a unit of each moves the
         patch's edge by about 1 m.
@@ -401,14 +403,6 @@ class Pose:
         place = ", ".join(f"{1e3 * each:.2f}" for each in self.T_B_O[:3, 3])
         left = np.count_nonzero(~self.determined)
         return f"<pose: ok, origin at {place} mm, {left} of 6 motions not determined>"
-
-    @property
-    def origin_covariance(self) -> np.ndarray:
-        """Covariance of the object's origin and its rotation vector in B, (6, 6), m and rad."""
-        # a small motion moves the origin by t + ω × (origin − centre)
-        J = wrench_about(self.center_m - self.T_B_O[:3, 3]).T
-        covariance: np.ndarray = J @ self.covariance @ J.T
-        return covariance
 
 
 @dataclass(frozen=True)

@@ -244,7 +244,7 @@ def _object_pose(_: ResultMessages, header: Any, result: Result) -> Any:
     pose, kinds = result.pose, ros2_types().types
     if pose is None or pose.status != "ok":  # a stale pose is not published
         return None
-    covariance = np.ascontiguousarray(pose.origin_covariance.ravel())
+    covariance = np.ascontiguousarray(pose.covariance.ravel())
     body = kinds["geometry_msgs/msg/PoseWithCovariance"](make_pose(pose.T_B_O), covariance)
     return kinds[POSE](header, body)
 

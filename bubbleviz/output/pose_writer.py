@@ -36,7 +36,7 @@ def pose_row(result: Result) -> PoseRow:
     one, two = pose.stage_one, pose.stage_two
     known = np.isfinite(pose.T_B_O).all()
     numbers = pose_numbers(pose.T_B_O) if known else (np.nan,) * 7
-    covariance = pose.origin_covariance
+    covariance = pose.covariance
     return {
         "frame": result.frame.index,
         "time_s": result.frame.time_s,

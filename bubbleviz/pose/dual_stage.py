@@ -109,14 +109,14 @@ class Solver:
             T_B_C = self._observer.camera.T_B_C
             unknown[:3, :3] += contact.image_errors.displacement_covariance(T_B_C)
         found, count = directions(fit.surface, contact.radius_m), len(contact.points)
-        here = about(motion.center, contact.center)
+        at_origin = about(motion.center, fit.T_B_O[:3, 3])
         pose = Pose(
             status="ok",
             T_B_O=fit.T_B_O,
             stage_one=replace(first, ms=1e3 * (between - began)),
             stage_two=replace(fit, ms=1e3 * (time.perf_counter() - between)),
             center_m=contact.center,
-            covariance=here @ unknown @ here.T,
+            covariance=at_origin @ unknown @ at_origin.T,
             motions=found.motions,
             deviation_m=found.deviation_m,
             determined=found.determined,

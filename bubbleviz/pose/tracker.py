@@ -26,7 +26,7 @@ from bubbleviz.pose.dual_stage import (
     Solver,
     looking_different,
 )
-from bubbleviz.pose.motion import START_DEVIATION, Motion, about, motion_between, moved
+from bubbleviz.pose.motion import START_DEVIATION, Motion, motion_between, moved
 from bubbleviz.pose.registration import ContactPoints, Precision, Registration, contact_points
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Estimate, Patch, Pose, PoseStatus
@@ -227,7 +227,7 @@ class PoseTracker:
         """Covariance (6, 6) of a pose that any of those not refuted yet may be instead."""
         unrefuted, origin = np.concatenate([self._rivals, self._waiting]), pose.T_B_O[:3, 3]
         motions = [motion_between(pose.T_B_O, other, origin) for other in unrefuted]
-        return _covering(np.reshape(motions, (-1, 6)) @ about(origin, pose.center_m).T)
+        return _covering(np.reshape(motions, (-1, 6)))
 
     def _without(self, why: PoseStatus) -> Pose:
         """Result of a frame without a pose."""
