@@ -50,11 +50,14 @@ class Tangent(ABC):
         a of the nodes, m².
     with_gas : bool
         Whether it includes the gas law; False for a measured gas pressure.
+    model_error : float
+        Relative standard deviation of forces by this model of the material, in any direction.
     """
 
     x: np.ndarray
     area_vectors: np.ndarray
     with_gas: bool
+    model_error = 0.0
 
     def by_material(self, x: np.ndarray) -> np.ndarray:
         """Motion of a shape for one standard deviation of each material parameter, (3n, m), m."""
@@ -411,8 +414,8 @@ class ConstantTension(Bubble):
     tension_n_per_m : float
         γ0.
     gas : Gas
-    stiffness_error : float
-        Relative standard deviation of the stiffness, for `by_material`.
+    model_error : float
+        As of `Tangent`.
     """
 
     caveat = (
@@ -421,17 +424,16 @@ class ConstantTension(Bubble):
     )
 
     def __init__(
-        self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas, stiffness_error: float = 0.0
+        self, mesh: MembraneMesh, tension_n_per_m: float, gas: Gas, model_error: float = 0.0
     ) -> None:
         self.mesh, self.gas, self.moving = mesh, gas, ~mesh.rim
         self.tension_n_per_m = tension_n_per_m
         self.held_pressure_pa = tension_n_per_m * mean_curvature(mesh)
         self._stiffness = self.stiffness()
-        varied = stiffness_error * self._stiffness if stiffness_error else None
         lu = symmetric_lu(self._stiffness[mesh.free][:, mesh.free].tocsc())
         factor = Factor(lu, np.arange(lu.shape[0]))
         self._tangents = {
-            with_gas: NormalTangent(mesh, factor, gas.beta if with_gas else None, varied)
+            with_gas: NormalTangent(mesh, factor, gas.beta if with_gas else None, model_error)
             for with_gas in (False, True)
         }
 
@@ -473,8 +475,7 @@ class NormalTangent(Tangent):
         Of γ0 L on the free nodes.
     beta : (n,) array or None
         Gas stiffness −∂p_v/∂u, Pa/m; None where the gas pressure is measured.
-    varied : (n, n) sparse array, optional
-        Change of γ0 L by one standard deviation, for `by_material`.
+    model_error : float
     """
 
     def __init__(
@@ -482,10 +483,10 @@ class NormalTangent(Tangent):
         mesh: MembraneMesh,
         factor: Factor,
         beta: np.ndarray | None,
-        varied: sparse.csr_array | None = None,
+        model_error: float,
     ) -> None:
         self._mesh, self._factor, self.with_gas = mesh, factor, beta is not None
-        self._varied = varied
+        self.model_error = model_error
         self.x = mesh.nodes
         self.area_vectors = mesh.areas[:, None] * mesh.normals
         self._columns = _Columns(len(mesh.nodes), 1)
@@ -495,14 +496,6 @@ class NormalTangent(Tangent):
         self._share = np.zeros_like(areas)
         if beta is not None:
             self._share = beta[mesh.free] / (1.0 + float(beta[mesh.free] @ self._by_gas))
-
-    def by_material(self, x: np.ndarray) -> np.ndarray:
-        """Motion for the forces by which a stiffer membrane resists the shape `x`, (3n, 1), m."""
-        if self._varied is None:
-            return super().by_material(x)
-        normals = self._mesh.normals
-        resisting = self._varied @ _along(x - self._mesh.nodes, normals)
-        return self.motion(resisting[:, None] * normals).reshape(-1, 1)
 
     def motion(self, force: np.ndarray) -> np.ndarray:
         normals = self._mesh.normals.reshape(*self._mesh.normals.shape, *(force.ndim - 2) * (1,))

@@ -41,7 +41,8 @@ def wrench_covariance(step: Step, friction: float, by_flow: np.ndarray) -> np.nd
     wrenches = unit.T @ change_by(step, by_material)
     unknowns = np.concatenate([step.contact.pressure[nodes], step.contact.amplitudes])
     push = step.contact.pressure[:, None] * step.state.area_vectors
-    covariance = _model_covariance(step.state.x, push, unknowns @ unit, friction * ~by_flow)
+    error = float(np.hypot(MODEL_ERROR, step.tangent.model_error))
+    covariance = _model_covariance(step.state.x, push, unknowns @ unit, friction * ~by_flow, error)
     covariance += wrenches @ wrenches.T
     around = np.flatnonzero(problem.with_neighbours(step.contact.pressure > 0.0))
     unit = unit_wrenches(step, around)
@@ -93,9 +94,9 @@ def unit_wrenches(step: Step, nodes: np.ndarray) -> np.ndarray:
 
 
 def _model_covariance(
-    x: np.ndarray, push: np.ndarray, wrench: np.ndarray, friction: np.ndarray
+    x: np.ndarray, push: np.ndarray, wrench: np.ndarray, friction: np.ndarray, error: float
 ) -> np.ndarray:
-    """Covariance (6, 6) of a wrench (6,) by errors of the model.
+    """Covariance (6, 6) of a wrench (6,) by errors of the model, of a relative size.
 
     Errors of the force, equal in every direction, act at the centre of the normal forces `push`
     (n, 3) on nodes at `x` (n, 3); so do errors of the torque about it. The torque about the mean
@@ -108,7 +109,7 @@ def _model_covariance(
     unknown = friction * load
     spin = np.sqrt((unknown @ arm**2) * unknown.sum())
     size = np.linalg.norm((wrench_about(center) @ wrench).reshape(2, 3), axis=1)
-    sigma = np.column_stack([np.diag(MODEL_ERROR * np.repeat(size, 3)), np.zeros(6)])
+    sigma = np.column_stack([np.diag(error * np.repeat(size, 3)), np.zeros(6)])
     sigma[3:, 6] = spin * normal
     back = wrench_about(-center) @ sigma
     return back @ back.T

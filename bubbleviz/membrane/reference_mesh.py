@@ -194,7 +194,7 @@ def stiffness_changes(mesh: MembraneMesh) -> np.ndarray:
 
 
 def constant_tension_deviation(sensor: Sensor, tension_n_per_m: float) -> float:
-    """Relative standard deviation of the stiffness of a sensor as a membrane of constant tension.
+    """Relative standard deviation of forces by constant tension, of a sensor that is rubber.
 
     From the errors of γ0 and of the gauge pressure, and the difference between rubber and constant
     tension.
