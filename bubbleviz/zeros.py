@@ -7,9 +7,9 @@ of the depth image removes changes of the camera since calibration.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import takewhile
+from itertools import chain, takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from bubbleviz.averaging import StillFrames
 from bubbleviz.camera import IMAGE_ERRORS, SHIFTS, ImageErrors
 from bubbleviz.errors import InputError
-from bubbleviz.inverse import LINEAR, RUBBER
+from bubbleviz.inverse import GAS_LAG, LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import LAG, Frame, FrameSource, HeldFrames, Recording, force_of
 from bubbleviz.result import HALF_95, Result
@@ -430,6 +430,17 @@ def _is_contact_free(result: Result) -> bool:
     return result.estimate is not None and result.estimate.status == "no_contact"
 
 
+def _gas_changes(source: FrameSource, indices: Iterable[int], pipeline: Pipeline) -> bool:
+    """Whether gas pressures of frames differ by more than errors of measurement can.
+
+    They do while a press grows or ends.
+    """
+    measured = [_gas_pressure_pa(source, k) for k in indices]
+    known = [pressure for pressure in measured if pressure is not None]
+    largest = GAS_LAG * pipeline.model.sensor.pneumatics.gauge_pressure_pa
+    return bool(known) and max(known) - min(known) > largest
+
+
 def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
     """Whether a contact explains most of the residual of an image that noise explains, too.
 
@@ -493,16 +504,15 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
             return frame
         if not _knows_errors(pipeline):
             return None
-        # Noise changes images before a frame as much as those from it on. A contact that begins, or
-        # a camera that moves, does not.
-        pairs = (max(index - 1 - LAG, 0), index - 1), (index, min(index + LAG, len(source) - 1))
-        noises = (
-            pipeline.image_noise([source[first], source[last]])[0]
-            for first, last in pairs
-            if first < last
-        )
+        # Noise changes images before a frame as much as those from it on, and not the gas pressure.
+        # A contact that begins, or a camera that moves, does not.
+        spans = (max(index - 1 - LAG, 0), index - 1), (index, min(index + LAG, len(source) - 1))
+        pairs = [(first, last) for first, last in spans if first < last]
+        noises = (pipeline.image_noise([source[first], source[last]])[0] for first, last in pairs)
         frame = replace(frame, noise=min(noises, default=1.0))
-        untouched = frame.noise > 1.0 and pipeline.is_untouched(frame)
+        if frame.noise <= 1.0 or _gas_changes(source, chain(*pairs), pipeline):
+            return None
+        untouched = pipeline.is_untouched(frame)
         return frame if untouched and not _explained_by_contact(frame, pipeline) else None
     except InputError:
         return None

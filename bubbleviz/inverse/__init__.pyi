@@ -58,6 +58,7 @@ from .pivoting import (
     nonnegative_qp as nonnegative_qp,
 )
 from .plausibility import (
+    GAS_LAG as GAS_LAG,
     GAS_NOISE as GAS_NOISE,
     contradicts_measured_gas as contradicts_measured_gas,
     reason_against_fit as reason_against_fit,

@@ -138,3 +138,19 @@ def test_presses_alone_are_no_noise_though_the_camera_has_changed(identified):
     assert set(run.status) == {"ok"}
     off_n = np.linalg.norm(run.force_n - truth["force_n"], axis=1)
     assert np.all(off_n < 0.03 * np.linalg.norm(truth["force_n"], axis=1))
+
+
+@pytest.mark.parametrize(
+    ("step_share", "zeroed"), [(0.0, True), (0.005, True), (-0.005, True), (0.02, False)]
+)
+def test_images_like_noise_are_no_rest_while_the_gas_pressure_rises(step_share, zeroed):
+    """By a share of the gauge pressure a frame: of a leak, it is small while two are compared."""
+    precise = changed(rubber_dome(), camera={"noise_relative": 0.1 * RELATIVE})
+    pipeline, rest = Pipeline.of(precise), exact()[0][0]
+    pressure, gauge = rest.gas_pressure_pa, rubber_dome().pneumatics.gauge_pressure_pa
+    frames = [
+        replace(noisy(rest, k), gas_pressure_pa=pressure + step_share * gauge * k)
+        for k in range(REST)
+    ]
+    zeros = zeros_of(HeldFrames(frames), pipeline)
+    assert (zeros.gas.offset_pa is not None) is zeroed
