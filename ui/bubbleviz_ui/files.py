@@ -12,9 +12,8 @@ from PySide6.QtGui import QDesktopServices
 from bubbleviz.errors import UnknownCameraError
 from bubbleviz.files import SESSION_SUFFIX, SUFFIXES, TRUTH_SUFFIX
 from bubbleviz_ui.engine.solver import OpenRequest
-from bubbleviz_ui.engine.source import RECORDINGS, Source
+from bubbleviz_ui.engine.source import RECORDINGS, PlacedSensor, Source
 from bubbleviz_ui.engine.worker import Failed
-from bubbleviz_ui.live.sensor_pair import PairedSensor
 from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.shell import theme
@@ -65,8 +64,8 @@ class Files(QObject):
         if len(paths) == 1:
             self._opening.open_recording(paths[0], sensor_file)
             return
-        first, second = (
-            PairedSensor(
+        sensors = [
+            PlacedSensor(
                 path.stem,
                 colour,
                 Source.of_recording(path),
@@ -74,9 +73,8 @@ class Files(QObject):
                 np.eye(4),
             )
             for path, colour in zip(paths[:2], theme.COMPARED, strict=True)
-        )
-        if self._opening.open(first.source, first.open_sensor):
-            self._window.pair.prepare(first, second)
+        ]
+        self._opening.open_group(sensors)
 
     def close(self) -> None:
         """Close the recording or the live source; a running recording is completed."""

@@ -179,7 +179,7 @@ class Controller(QObject):
         """Stop playback and the solver thread."""
         self.player.close()
         self._cold_solve_timer.stop()
-        self.worker.close()
+        self.client.close()
 
     def set_object(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +14,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.files import SYNTHETIC_SENSOR
 from bubbleviz.sensor import load_sensor
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
-from bubbleviz_ui.engine.source import NO_SOURCE, Source, sensor_for
+from bubbleviz_ui.engine.source import NO_SOURCE, PlacedSensor, Source, sensor_for
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 
@@ -81,6 +81,7 @@ class Opening(QObject):
         what: str = "",  # Name in the progress text; by default the source's title
         frame: int = 0,
         playing: bool = True,
+        group: tuple[PlacedSensor, ...] = (),  # As in `OpenRequest`
         before: Callable[[], None] | None = None,
         then: Callable[[Failed | None], None] = lambda _: None,
     ) -> bool:
@@ -95,6 +96,7 @@ class Opening(QObject):
             frame=frame,
             demand=Demand.of(self._state.settings),
             playing=playing,
+            group=group,
         )
         self.about_to_open.emit(request)
         if request.cancelled.is_set():
@@ -111,6 +113,11 @@ class Opening(QObject):
             "Closing …" if source is NO_SOURCE else f"Opening {what or source.title} …"
         )
         return True
+
+    def open_group(self, sensors: Sequence[PlacedSensor]) -> bool:
+        """Open sensors together; the panels show the first. Returns as `open` does."""
+        first, group = sensors[0], tuple(sensors) if len(sensors) > 1 else ()
+        return self.open(first.source, first.open_sensor, group=group)
 
     def cancel(self) -> None:
         """Cancel the pending request; the solver stops at its next step."""
@@ -185,9 +192,17 @@ class Opening(QObject):
 
     def reopen(self, what: str, open_sensor: OpenSensor, source: Source | None = None) -> None:
         """Open the current source again, or `source` in its place, at the current frame."""
-        state, source = self._state, source or self.source
-        if source is not None:
-            self.open(source, open_sensor, what=what, frame=state.frame, playing=state.playing)
+        state, current = self._state, self.current
+        if current is not None:
+            source, group = source or current.request.source, current.request.group
+            self.open(
+                source,
+                open_sensor,
+                what=what,
+                frame=state.frame,
+                playing=state.playing,
+                group=group,
+            )
 
     def close_source(self) -> None:
         """Close the source; the sensor stays, at rest."""

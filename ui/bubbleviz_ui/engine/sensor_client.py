@@ -16,7 +16,7 @@ from bubbleviz.pipeline import OBJECT_PRODUCTS, FrameOptions, Product
 from bubbleviz.recordings import Frame, Gap
 from bubbleviz.result import Result
 from bubbleviz_ui.engine.solver import Opened, OpenRequest, Solved, Solver
-from bubbleviz_ui.engine.worker import KEYS, OPEN, Failed, Worker
+from bubbleviz_ui.engine.worker import CLOSE_TIMEOUT_S, KEYS, OPEN, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.frame_history import FrameHistory, grown
 from bubbleviz_ui.model.messages import Warnings
@@ -116,6 +116,15 @@ class SensorClient(QObject):
         """Whether the frame shown was solved from rest."""
         result = self.result
         return result.estimate is None or self._cold_solved is result.frame
+
+    def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+        """End the solver thread; returns as `Worker.close`.
+
+        Until it has ended, keep this object: the thread may hold the last other reference, and
+        would delete its timer.
+        """
+        self.frames_counted.stop()
+        return self.worker.close(timeout_s)
 
     def open(self, request: OpenRequest) -> None:
         """Open a source in place of the current one."""

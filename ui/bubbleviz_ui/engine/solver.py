@@ -38,7 +38,7 @@ from bubbleviz.simulation import truth_of
 from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
 from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.shear_reference import ShearReference
-from bubbleviz_ui.engine.source import NO_SOURCE, Source
+from bubbleviz_ui.engine.source import NO_SOURCE, PlacedSensor, Source
 from bubbleviz_ui.engine.worker import Deferred
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -58,6 +58,7 @@ class OpenRequest:
     demand: Demand  # Of that frame
     options: EstimatorOptions = field(default_factory=EstimatorOptions)
     playing: bool = False  # Play once it is open
+    group: tuple[PlacedSensor, ...] = ()  # Sensors opened together; empty: one alone
     cancelled: Event = field(default_factory=Event, compare=False)
 
 

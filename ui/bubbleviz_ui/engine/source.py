@@ -59,6 +59,17 @@ class Source:
         return cls(frames.name, lambda _: frames, stream=frames, live=True)
 
 
+@dataclass(frozen=True, eq=False)
+class PlacedSensor:
+    """One of several sensors that are opened together: live, or of recordings."""
+
+    name: str
+    colour: str
+    source: Source
+    open_sensor: Callable[[], Sensor]  # Called in the solver thread
+    T_W_B: np.ndarray  # (4, 4); the same for all: they are drawn side by side
+
+
 def _recording(
     path: Path, truth: Path | None, depth_topic: str | None, sensor: Sensor
 ) -> FrameSource:

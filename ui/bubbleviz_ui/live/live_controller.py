@@ -10,12 +10,12 @@ from PySide6.QtCore import QObject, QTimer, Signal
 from bubbleviz.live import STALE_AFTER_S, LiveSensor, SessionPreset, is_simulated
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
-from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.engine.source import PlacedSensor, Source
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import DEFAULT_FOLDER, Recording
-from bubbleviz_ui.live.sensor_pair import PairedSensor, SensorPair
+from bubbleviz_ui.live.sensor_pair import SensorPair
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import RECORDING_SETTINGS
 from bubbleviz_ui.model.source_facts import ConnectionState
@@ -211,16 +211,12 @@ class LiveController(QObject):
         self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
-        sensors = _sensors_of(run)
-        opening = self._controller.opening
-        if not opening.open(sensors[0].source, sensors[0].open_sensor):
+        if not self._controller.opening.open_group(_sensors_of(run)):
             self.cancel()
             self._worker.submit(run.close)
             return
         self.disconnect_all()
         self.run = run
-        if len(sensors) == 2:
-            self._pair.prepare(*sensors)
         self._apply_settings()
         self._timer.start()
         self.changed.emit()
@@ -271,9 +267,9 @@ class LiveController(QObject):
         self._pair.set_extra_products(PRODUCTS if self.publishing.on else frozenset())
 
 
-def _sensors_of(run: LiveRun) -> list[PairedSensor]:
+def _sensors_of(run: LiveRun) -> list[PlacedSensor]:
     return [
-        PairedSensor(
+        PlacedSensor(
             each.place.name,
             each.place.colour,
             Source.of_stream(frames),

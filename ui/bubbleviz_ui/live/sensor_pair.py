@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from PySide6.QtCore import QObject, Signal
@@ -12,12 +11,11 @@ from PySide6.QtCore import QObject, Signal
 from bubbleviz.pipeline import Product
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
-from bubbleviz.sensor import Sensor
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import Opened, OpenRequest
-from bubbleviz_ui.engine.source import Source
-from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.engine.source import PlacedSensor
+from bubbleviz_ui.engine.worker import Failed
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.model.source_facts import NO_RESULT
@@ -28,17 +26,6 @@ TIMEOUT_S = 0.15
 """After this time without a picture of the selected sensor, the other one is drawn alone."""
 APART = 1.3
 """Distance of two membranes without poses, in widths of the second one; chosen."""
-
-
-@dataclass(frozen=True, eq=False)
-class PairedSensor:
-    """One of two sensors: live, or of a recording."""
-
-    name: str
-    colour: str
-    source: Source
-    open_sensor: Callable[[], Sensor]
-    T_W_B: np.ndarray  # (4, 4); the same for both: they are drawn side by side
 
 
 class SensorPair(QObject):
@@ -55,9 +42,8 @@ class SensorPair(QObject):
         self._state = state = controller.state
         self.second: SensorClient | None = None  # Not shown by the panels
         self.drawing: SecondScene | None = None
-        self.sensors: tuple[PairedSensor, ...] = ()  # Both, or none
-        self._prepared: tuple[PairedSensor, ...] = ()
-        self._ending: list[Worker] = []
+        self.sensors: tuple[PlacedSensor, ...] = ()  # Both, or none
+        self._ending: list[SensorClient] = []
         self.selected = 0  # Index of the sensor shown by the panels
         self._shown_s = 0.0
         controller.opened.connect(self._on_opened)
@@ -67,22 +53,17 @@ class SensorPair(QObject):
         state.frozen_changed.connect(self._request_frame)
         state.settings_changed.connect(self._on_settings)
 
-    def prepare(self, first: PairedSensor, second: PairedSensor) -> None:
-        """Set two sensors, of which the first is being opened."""
-        self._prepared = (first, second)
-
     def _on_opened(self, opened: Opened) -> None:
         """Open the second sensor after the first, or remove it if something else was opened."""
-        source = opened.request.source
-        if self._prepared and source is self._prepared[0].source:
+        group = opened.request.group
+        if group != self.sensors:
             self.end()
-            self.sensors, self._prepared, self.selected = self._prepared, (), 0
-            self._controller.client.name = self.sensors[0].name
-            self._place()
-        if self.sensors and source is self.sensors[self.selected].source:
+            self.sensors, self.selected = group, 0
+            if group:
+                self._controller.client.name = group[0].name
+                self._place()
+        if group:
             self._begin()
-        elif self.sensors:
-            self.end()
 
     def _begin(self) -> None:
         state, other = self._state, self.sensors[1 - self.selected]
@@ -102,6 +83,7 @@ class SensorPair(QObject):
                 demand=self._demand,
                 options=state.settings.options,
                 playing=True,
+                group=self.sensors,
             )
         )
 
@@ -148,7 +130,7 @@ class SensorPair(QObject):
         second, self.second, self.sensors = self.second, None, ()
         self._controller.client.name = ""
         if second is not None:
-            self._ending = [each for each in [*self._ending, second.worker] if not each.close(0.0)]
+            self._ending = [each for each in [*self._ending, second] if not each.close(0.0)]
         if self.drawing is not None:
             self.drawing.hide()
         self._scene.place(np.eye(4), np.empty((0, 3)), None)
@@ -156,8 +138,8 @@ class SensorPair(QObject):
     def close(self) -> None:
         """Remove the second sensor, and wait for solver threads."""
         self.end()
-        for worker in self._ending:
-            worker.close()
+        for client in self._ending:
+            client.close()
 
     # -- requests of the second sensor --------------------------------------------------------
 
