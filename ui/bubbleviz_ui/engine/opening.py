@@ -47,6 +47,7 @@ class Opening(QObject):
         super().__init__()
         self._state, self._ask = state, ask
         self.current: Opened | None = None
+        self.group: tuple[PlacedSensor, ...] = ()  # Opened together; empty: one alone
         self._other_camera: Sensor | None = None  # the last one given that did not fit the source
         self._waiting: OpenRequest | None = None
         self._then: Callable[[Failed | None], None] = lambda _: None
@@ -192,16 +193,15 @@ class Opening(QObject):
 
     def reopen(self, what: str, open_sensor: OpenSensor, source: Source | None = None) -> None:
         """Open the current source again, or `source` in its place, at the current frame."""
-        state, current = self._state, self.current
-        if current is not None:
-            source, group = source or current.request.source, current.request.group
+        state, source = self._state, source or self.source
+        if source is not None:
             self.open(
                 source,
                 open_sensor,
                 what=what,
                 frame=state.frame,
                 playing=state.playing,
-                group=group,
+                group=self.group,
             )
 
     def close_source(self) -> None:

@@ -11,7 +11,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.sensor_pair import APART
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.scene import Scene, SecondScene
+from bubbleviz_ui.view3d.scene import OtherSensor, Scene
 
 if TYPE_CHECKING:
     from bubbleviz_ui.panels.other_recording import AlignedRun
@@ -23,7 +23,7 @@ class SecondMembrane(QObject):
     def __init__(self, controller: Controller, scene: Scene, view: View) -> None:
         super().__init__()
         self._controller, self._scene, self._view = controller, scene, view
-        self._drawing: SecondScene | None = None
+        self._drawing: OtherSensor | None = None
         self._aligned: AlignedRun | None = None
         controller.shown.connect(self._show)
         controller.state.settings_changed.connect(self._show)
@@ -32,17 +32,17 @@ class SecondMembrane(QObject):
         """Draw another run, or none."""
         if aligned is None and self._aligned is None:
             return
-        self._aligned, state = aligned, self._controller.state
+        self._aligned = aligned
         if self._drawing is None:
-            self._drawing = SecondScene(self._view, state.units, self._scene.scales)
+            self._drawing = self._scene.add_sensor()
         if aligned is None:
-            self._drawing.hide()
-            self._scene.place(np.eye(4), np.empty((0, 3)), None)
+            self._drawing.remove()
+            self._scene.place()
         else:
             model, T = aligned.run.model, np.eye(4)
             T[0, 3] = APART * np.ptp(model.mesh.nodes[:, 0])
-            self._drawing.set_sensor(model.sensor, model.mesh, T, theme.COMPARED[1])
-            self._scene.place(np.eye(4), model.mesh.nodes + T[:3, 3], theme.COMPARED[0])
+            self._drawing.put(model.sensor, model.mesh, T, theme.COMPARED[1])
+            self._scene.place(colour=theme.COMPARED[0])
             self._show()
         self._scene.reset_view()
 

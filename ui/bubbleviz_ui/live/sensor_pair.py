@@ -20,7 +20,7 @@ from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.settings import PATCH_SETTINGS
 from bubbleviz_ui.model.source_facts import NO_RESULT
 from bubbleviz_ui.view3d.render_view import View
-from bubbleviz_ui.view3d.scene import Scene, SecondScene
+from bubbleviz_ui.view3d.scene import OtherSensor, Scene
 
 TIMEOUT_S = 0.15
 """After this time without a picture of the selected sensor, the other one is drawn alone."""
@@ -41,7 +41,7 @@ class SensorPair(QObject):
         self._controller, self._scene, self._view = controller, scene, view
         self._state = state = controller.state
         self.second: SensorClient | None = None  # Not shown by the panels
-        self.drawing: SecondScene | None = None
+        self.drawing: OtherSensor | None = None
         self.sensors: tuple[PlacedSensor, ...] = ()  # Both, or none
         self._ending: list[SensorClient] = []
         self.selected = 0  # Index of the sensor shown by the panels
@@ -59,6 +59,7 @@ class SensorPair(QObject):
         if group != self.sensors:
             self.end()
             self.sensors, self.selected = group, 0
+            self._controller.opening.group = group
             if group:
                 self._controller.client.name = group[0].name
                 self._place()
@@ -70,7 +71,7 @@ class SensorPair(QObject):
         if self.second is not None:
             return
         if self.drawing is None:
-            self.drawing = SecondScene(self._view, state.units, self._scene.scales)
+            self.drawing = self._scene.add_sensor()
         self.second = second = SensorClient(state)
         second.name = other.name
         second.extra_products = self._controller.client.extra_products
@@ -109,7 +110,7 @@ class SensorPair(QObject):
         self._place()
         self._controller.switch_to(other)
         self._listen(self.second)
-        self._draw_second()
+        self._show()
         self._request_frame()
         if moved:
             self._scene.move_camera(np.linalg.inv(self._T_W_B(number)) @ before)
@@ -128,12 +129,12 @@ class SensorPair(QObject):
     def end(self) -> None:
         """Remove the second sensor; its solver thread ends by itself."""
         second, self.second, self.sensors = self.second, None, ()
-        self._controller.client.name = ""
+        self._controller.client.name, self._controller.opening.group = "", ()
         if second is not None:
             self._ending = [each for each in [*self._ending, second] if not each.close(0.0)]
         if self.drawing is not None:
-            self.drawing.hide()
-        self._scene.place(np.eye(4), np.empty((0, 3)), None)
+            self.drawing.remove()
+        self._scene.place()
 
     def close(self) -> None:
         """Remove the second sensor, and wait for solver threads."""
@@ -246,35 +247,22 @@ class SensorPair(QObject):
             )
         return T
 
-    def _T_selected_other(self) -> np.ndarray:
-        return np.linalg.inv(self._T_W_B(self.selected)) @ self._T_W_B(1 - self.selected)
-
     def _place(self) -> None:
-        """Set the pose of the selected sensor, and the extent of the other one, in the scene."""
-        opened = None if self.second is None else self.second.opened
-        others_m = np.empty((0, 3))
-        if opened is not None:
-            T = self._T_selected_other()
-            others_m = opened.mesh.nodes @ T[:3, :3].T + T[:3, 3]
+        """Place both sensors in the scene."""
+        other, opened = 1 - self.selected, None if self.second is None else self.second.opened
+        if opened is not None and self.drawing is not None:
+            colour = self.sensors[other].colour
+            self.drawing.put(opened.sensor, opened.mesh, self._T_W_B(other), colour)
         colour = self.sensors[self.selected].colour
-        self._scene.place(self._T_W_B(self.selected), others_m, colour, self.selected_name)
+        self._scene.place(self._T_W_B(self.selected), colour, self.selected_name)
 
     def _on_second_open(self, _: object) -> None:
         moved = self._scene.moved_by_user
         self._place()
         if not moved:
             self._scene.reset_view()
-        self._draw_second()
-        self._request_frame()
-
-    def _draw_second(self) -> None:
-        """Place and draw the second sensor."""
-        second, drawing = self.second, self.drawing
-        if second is None or drawing is None or second.opened is None:
-            return
-        opened, colour = second.opened, self.sensors[1 - self.selected].colour
-        drawing.set_sensor(opened.sensor, opened.mesh, self._T_selected_other(), colour)
         self._show()
+        self._request_frame()
 
     def _show(self) -> None:
         """Draw the second sensor with the next picture of the selected one, in a single render.

@@ -1,4 +1,4 @@
-"""The scene: all 3-D layers of one or two sensors, and the camera."""
+"""The scene: all 3-D layers of one or more sensors, and the camera."""
 
 from __future__ import annotations
 
@@ -128,6 +128,7 @@ class Scene:
         self._surface = self._drawn.surface
         self.object, self.fit = self._drawn.layer(ObjectLayer), self._drawn.layer(FitLayer)
         self._T_W_B = np.eye(4)
+        self._others: list[OtherSensor] = []
         self._others_m = np.empty((0, 3))
         self._placed: tuple[object, ...] | None = None
         self._mesh: MembraneMesh | None = None
@@ -172,18 +173,27 @@ class Scene:
         self._view.renderer.ResetCameraClippingRange(self._bounds)
         self._view.refresh()
 
-    def place(
-        self, T_W_B: np.ndarray, others_m: np.ndarray, colour: str | None, name: str = ""
-    ) -> None:
-        """Set the sensor's pose in the world, points of other objects, and its colour and name.
+    def add_sensor(self) -> OtherSensor:
+        """Another sensor, to be put into the world."""
+        other = OtherSensor(self._view, self._state.units, self.scales)
+        self._others.append(other)
+        return other
 
-        The initial view has the world's z up and contains `others_m` (k, 3) in B.
+    def place(
+        self, T_W_B: np.ndarray | None = None, colour: str | None = None, name: str = ""
+    ) -> None:
+        """Set the sensor's pose in the world, by default its origin, and its colour and name.
+
+        The other sensors are placed around it. The initial view has the world's z up and contains
+        them, too.
         """
-        self._T_W_B, self._others_m = T_W_B, others_m
+        self._T_W_B = np.eye(4) if T_W_B is None else T_W_B
+        placed = [other.place_in(self._T_W_B) for other in self._others]
+        self._others_m = np.vstack([np.empty((0, 3)), *placed])
         self._drawn.layer(RimLayer).paint(colour)
         self._drawn.layer(ReadoutLayer).sensor = name
         if self._mesh is not None and self._sensor is not None:
-            self._bounds = _bounds(self._mesh, self._sensor, others_m)
+            self._bounds = _bounds(self._mesh, self._sensor, self._others_m)
 
     def move_camera(self, T: np.ndarray) -> None:
         """Keep the view after a change of frame B; T maps old to new coordinates."""
@@ -292,14 +302,14 @@ def _bounds(mesh: MembraneMesh, sensor: Sensor, others_m: np.ndarray) -> list[fl
     return [float(end) for pair in zip(low, high, strict=True) for end in pair]
 
 
-# The second sensor: the same layers, placed by one matrix.
+# Other sensors: some of the same layers, placed by one matrix each.
 
 
-SECOND_LAYERS = frozenset({"membrane", "contour", "cloud", "force", "rim"})
+OTHER_LAYERS = frozenset({"membrane", "contour", "cloud", "force", "rim"})
 
 
-class SecondScene:
-    """Draws the results of a second sensor in the view, with the scales of the first.
+class OtherSensor:
+    """Draws the results of another sensor in the view, with the scales of the scene's.
 
     `scales`: Those of the scene, which has the colour bars.
     """
@@ -307,21 +317,26 @@ class SecondScene:
     def __init__(self, view: View, units: Units, scales: Scales) -> None:
         self._view = view
         before = set(view.renderer.GetViewProps())
-        self._drawn = DrawnLayers(view, units, scales, SECOND_LAYERS)
+        self._drawn = DrawnLayers(view, units, scales, OTHER_LAYERS)
         made = [prop for prop in view.renderer.GetViewProps() if prop not in before]
         self._assembly = _assembled(view, made)
         self._assembly.SetVisibility(False)
+        self._nodes_m, self._T_W_B = np.empty((0, 3)), np.eye(4)
 
-    def set_sensor(
-        self, sensor: Sensor, mesh: MembraneMesh, T_B_other: np.ndarray, colour: str
-    ) -> None:
-        """Set the sensor, and its pose in the bubble frame of the first."""
-        matrix = vtkMatrix4x4()
-        matrix.DeepCopy(T_B_other.ravel().tolist())
-        self._assembly.SetUserMatrix(matrix)
+    def put(self, sensor: Sensor, mesh: MembraneMesh, T_W_B: np.ndarray, colour: str) -> None:
+        """Set the sensor and its pose; it is visible from its next result on."""
+        self._nodes_m, self._T_W_B = mesh.nodes, T_W_B
         self._assembly.SetVisibility(False)
         self._drawn.set_sensor(sensor, mesh)
         self._drawn.layer(RimLayer).paint(colour)
+
+    def place_in(self, T_W_B: np.ndarray) -> np.ndarray:
+        """Draw it in the bubble frame of the scene's sensor; returns its nodes (n, 3) there."""
+        T, matrix = np.linalg.inv(T_W_B) @ self._T_W_B, vtkMatrix4x4()
+        matrix.DeepCopy(T.ravel().tolist())
+        self._assembly.SetUserMatrix(matrix)
+        nodes_m: np.ndarray = self._nodes_m @ T[:3, :3].T + T[:3, 3]
+        return nodes_m
 
     @property
     def visible(self) -> bool:
@@ -333,8 +348,9 @@ class SecondScene:
         self._drawn.draw(result, settings, history)
         self._assembly.SetVisibility(True)
 
-    def hide(self) -> None:
-        """Hide the sensor."""
+    def remove(self) -> None:
+        """Remove the sensor from the view."""
+        self._nodes_m = np.empty((0, 3))
         self._drawn.hide()
         self._assembly.SetVisibility(False)
         self._view.refresh()
