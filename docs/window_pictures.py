@@ -211,12 +211,13 @@ def gamma0(session: WindowSession, out: Path) -> None:
 
 def live_pair(session: WindowSession, out: Path) -> None:
     """Two live sensors, both firmly in contact, frozen."""
-    pair = session.window.pair
+    clients = session.controller.clients
 
     def both_touch() -> bool:
-        results = (pair.result_of(0), pair.result_of(1))
-        patches = [None if each is None else each.trusted_patch for each in results]
-        return all(each is not None and each.area_m2 > FIRM_M2 for each in patches)
+        patches = [client.result.trusted_patch for client in clients]
+        return len(patches) == 2 and all(
+            each is not None and each.area_m2 > FIRM_M2 for each in patches
+        )
 
     session.wait_for(both_touch, "contact of both")
     session.save_still(out)

@@ -44,10 +44,10 @@ def live_window(preset: SessionPreset) -> Iterator[WindowSession]:
 
 def recorded_run(session: WindowSession, path: Path) -> LiveRun:
     """The live run, once both sensors are shown; recorded from then on."""
-    live, pair = session.window.live_controller, session.window.pair
+    live, controller = session.window.live_controller, session.controller
 
     def shown() -> bool:
-        return pair.second is not None and pair.second.opened is not None
+        return bool(controller.others)
 
     session.wait_for(shown, "connecting")
     if live.run is None:

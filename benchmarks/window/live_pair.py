@@ -129,8 +129,7 @@ class _Counts:
 
 def _solve_apart(session: WindowSession) -> bool:
     """Whether the solver processes of both sensors are ready."""
-    clients = session.controller.client, session.window.pair.second
-    sources = [None if client is None else client.solver.current for client in clients]
+    sources = [client.solver.current for client in session.controller.clients]
     processes = [None if source is None else source.solver_process for source in sources]
     return all(process is not None and process.pid is not None for process in processes)
 

@@ -61,6 +61,12 @@ class Bench(Driver):
         return self.window.live_controller
 
     @property
+    def second(self):
+        """The sensor that the panels do not show; None if there is a single one."""
+        controller = self.window.controller
+        return next((each for each in controller.clients if each is not controller.client), None)
+
+    @property
     def run(self):
         assert self.live_controller.run is not None
         return self.live_controller.run

@@ -288,7 +288,7 @@ class Menus(QObject):
         )
         self._add(menu, "Publish &at…", self._publish_at)
         self._add(menu, "&Zero gas pressure", live.zero_now, "Ctrl+Shift+G")
-        self._add(menu, "&Switch sensor", window.pair.switch, "B")
+        self._add(menu, "&Switch sensor", window.group.choose_next, "B")
 
     def _view(self, menu: QMenu) -> None:
         window = self._window

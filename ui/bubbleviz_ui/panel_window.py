@@ -31,7 +31,7 @@ from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.second_membrane import SecondMembrane
-from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.live.sensor_group import SensorGroup
 from bubbleviz_ui.model.demand import StageTimes
 from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, UserMessage
 from bubbleviz_ui.model.registry import PANELS
@@ -150,10 +150,10 @@ class PanelWindow(QMainWindow):
         self.pose = PosePanel(state, PoseSession(controller, self.undo_recorder))
         self.overlay = PoseOverlay(self.view, self.scene, self.pose.session, state)
         self.shear = ShearPanel(state, controller)
-        self.pair = SensorPair(controller, self.scene, self.view)
+        self.group = SensorGroup(controller, self.scene, self.view)
         self.second_membrane = SecondMembrane(controller, self.scene, self.view)
-        self.live_controller = LiveController(controller, self.pair, self.view, self.undo_recorder)
-        self.live = LiveBar(self.live_controller, self.pair, state.units)
+        self.live_controller = LiveController(controller, self.group, self.view, self.undo_recorder)
+        self.live = LiveBar(self.live_controller, controller, self.group, state.units)
         self.display_latency = DisplayLatency(controller, self.view)
         self.exporting = Exporting(controller, self.view, lambda: self.pose.session.rows)
         self._source: object = None
@@ -473,7 +473,7 @@ class PanelWindow(QMainWindow):
 
     def _write_numbers(self) -> None:
         """Show the numbers of the current result in the panels."""
-        result, state, sensor = self.controller.result, self.state, self.pair.selected_name
+        result, state, sensor = self.controller.result, self.state, self.group.chosen_name
         self.playback.show_frame()
         self.kappa.show_result(result)
         self.status.show_result(

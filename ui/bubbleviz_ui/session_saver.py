@@ -308,7 +308,7 @@ class SessionSaver(QObject):
         if controller.run is None or not self._is_live:
             return None
         live = with_paths(controller.run.preset, absolute)
-        return live if sensor is None else with_sensor(live, self._window.pair.selected, sensor)
+        return live if sensor is None else with_sensor(live, self._window.controller.chosen, sensor)
 
     @property
     def _is_live(self) -> bool:

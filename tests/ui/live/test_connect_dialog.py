@@ -85,8 +85,8 @@ def test_dialog_reports_a_rejected_certificate_lists_topics_and_connects_two_sen
     assert dialog.isVisible() and "nonsense" in dialog.problem.text()
     bench.type(dialog.second, f"replay:{path}?loop=true")
     bench.wait(lambda: bench.run is not None)
-    bench.wait(lambda: bench.window.pair.second is not None)
-    bench.wait(lambda: bench.window.pair.second.opened is not None)
+    bench.wait(lambda: bench.second is not None)
+    bench.wait(lambda: bench.second.opened is not None)
     assert [button.text() for button in bench.window.live.sensors] == ["● first", "● second"]
     assert bench.run.preset.sensors[1].sensor == file
     choose_kind(dialog, PAIR)

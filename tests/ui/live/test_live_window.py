@@ -22,8 +22,8 @@ def test_live_frames_are_shown_frozen_and_resumed(open_bench):
     live.wait(lambda: bar.state.text().endswith("Hz"))
     assert "simulated" in bar.state.text() and "messages" in bar.counts.text()
     # no controls of a second sensor
-    assert not bar.sensors and live.window.pair.second is None
-    assert live.window.pair.drawing is None
+    assert not bar.sensors and live.second is None
+    assert not live.window.group.drawings
     assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 1
     facts, history = live.state.facts, live.state.history
     assert facts.frames == len(history) == len(facts.times_s)

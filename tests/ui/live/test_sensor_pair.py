@@ -23,7 +23,7 @@ def paired(open_bench):
     """A window with two sensors, both with a result."""
     bench = open_bench()
     bench.connect(sensor_pair_preset(bench.folder))
-    bench.wait(lambda: bench.window.pair.second.opened is not None)
+    bench.wait(lambda: bench.second.opened is not None)
     return bench
 
 
@@ -37,12 +37,12 @@ def connect_played(bench, frames, name="other"):
 
 def other(bench):
     """Frame shown of the other sensor."""
-    return bench.window.pair.second.result.frame.index
+    return bench.second.result.frame.index
 
 
 def world_camera(bench):
     """Position, focal point and up vector of the camera in the world, (3, 3)."""
-    T = bench.run.preset.sensors[bench.window.pair.selected].T_W_B
+    T = bench.run.preset.sensors[bench.window.controller.chosen].T_W_B
     camera = bench.window.view.camera
     points = np.array([camera.position, camera.focal_point]) @ T[:3, :3].T + T[:3, 3]
     return np.vstack([points, T[:3, :3] @ camera.up])
@@ -103,20 +103,20 @@ def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(ope
     known = len(first)
     assert bench.state.facts.title == "Two, left"
     bench.window.live.sensors[1].click()
-    assert bench.window.pair.selected == 1 and bench.state.facts.title == "Two, right"
+    assert bench.window.controller.chosen == 1 and bench.state.facts.title == "Two, right"
     assert bench.window.controller.worker is not worker
     assert bench.state.history is not first
     bench.wait_for_frames(5)
     assert np.isfinite(bench.state.history.values["residual_m"][-3:-1]).all()
     bench.key(Qt.Key.Key_B)
-    assert bench.window.pair.selected == 0 and bench.window.controller.worker is worker
+    assert bench.window.controller.chosen == 0 and bench.window.controller.worker is worker
     assert bench.state.history is first and len(first) > known
     bench.wait_for_frames(3)
     assert np.isfinite(first.values["residual_m"][1 : bench.shown_frame]).all()
     # the camera does not move in the world
     bench.window.view.camera.position = (0.3, -0.2, 0.35)
     before = world_camera(bench)
-    bench.window.pair.switch()
+    bench.window.group.choose_next()
     np.testing.assert_allclose(world_camera(bench), before, atol=1e-9)
     bench.window.scene.reset_view()
     np.testing.assert_allclose(world_camera(bench)[2], [0.0, 0.0, 1.0], atol=1e-9)
@@ -156,7 +156,7 @@ def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(ope
     bench.wait(lambda: drawn(bench)[2, 0] < 0.12 - 0.5 * dome.height_m)
     bench.wait_for_redraw()
     assert of_the_other(bench) > 50
-    bench.window.pair.end()
+    bench.window.controller.regroup()
     bench.wait_for_redraw()
     assert of_the_other(bench) == 0
 
@@ -177,7 +177,7 @@ def test_recording_of_both_sensors_and_return_to_one(open_bench):
     bench.connect(alone.model_copy(update={"sensors": alone.sensors[:1]}))
     bench.wait(lambda: bench.state.facts.title.startswith("synthetic:"))
     bench.wait_for_frames(3)
-    assert bench.window.pair.second is None and not bench.window.live.sensors
+    assert bench.second is None and not bench.window.live.sensors
     assert not drawing(bench).GetVisibility()
     assert sum(t.name.startswith("solver") for t in threading.enumerate()) == 1
     bench.window.scene.reset_view()  # without the other sensor
@@ -206,12 +206,11 @@ def test_both_sensors_use_the_scale_of_the_colour_bar_and_untrusted_results_thei
     And right after the chosen one has another sensor file, while the other stands still.
     """
     bench, seen, pressed = open_bench(), list[tuple[float, float, float]](), list[float]()
-    pair = bench.window.pair
 
     def look():
-        if pair.drawing is not None and drawing(bench).GetVisibility():
+        if bench.window.group.drawings and drawing(bench).GetVisibility():
             seen.append(ends_kpa(bench))
-            estimate = pair.second.result.estimate
+            estimate = bench.second.result.estimate
             sure = estimate is not None and estimate.status == "ok"
             pressed.append(1e-3 * estimate.contact_pressure_pa.max() if sure else 0.0)
 
@@ -220,7 +219,7 @@ def test_both_sensors_use_the_scale_of_the_colour_bar_and_untrusted_results_thei
     for _ in range(2):
         before = len(seen)
         bench.wait(lambda before=before: len(seen) > before + 4)
-        bench.window.pair.switch()
+        bench.window.group.choose_next()
     assert all(len(set(ends)) == 1 for ends in seen), seen
     bench.wait(lambda: len(set(seen)) > 1)  # the scale has changed
     bench.wait(lambda: pressed[-1] > 4.0)
@@ -265,12 +264,12 @@ def two_recordings(folder, frames=8):
 
 def shown_pair(bench, frame):
     """Wait until a frame of the first recording and one of the other are shown; those."""
-    bench.wait(lambda: bench.window.pair.second is not None)
-    bench.wait(lambda: bench.window.pair.second.opened is not None)
+    bench.wait(lambda: bench.second is not None)
+    bench.wait(lambda: bench.second.opened is not None)
     bench.state.set_playing(False)
     bench.state.seek(frame)
     bench.wait_until_shown()
-    bench.wait(lambda: not bench.window.pair.second.worker.busy)
+    bench.wait(lambda: not bench.second.worker.busy)
     bench.wait_for_redraw()
     return bench.result.frame.index, other(bench)
 
@@ -313,7 +312,7 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     bench.state.set_playing(False)
     # another recording alone removes the second
     bench.drop(first)
-    bench.wait(lambda: bench.window.pair.second is None)
+    bench.wait(lambda: bench.second is None)
     assert not drawing(bench).GetVisibility() and not bar.isVisible()
     bench.wait_until_shown()
     assert not any("right" in text for text in force_texts(bench))

@@ -14,6 +14,7 @@ from PySide6.QtCore import QObject, QTimer, Signal
 
 from bubbleviz.diagnostics import Inspection, Numbers
 from bubbleviz.pipeline import FLOW_PRODUCTS, FrameOptions, Product
+from bubbleviz.recordings import Frame
 from bubbleviz.result import Result
 from bubbleviz.rigid_object import RigidObject
 from bubbleviz.sensor import Sensor
@@ -21,6 +22,7 @@ from bubbleviz_ui.engine.opening import Opening
 from bubbleviz_ui.engine.player import Player
 from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
+from bubbleviz_ui.engine.source import PlacedSensor
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.demand import Demand, needed_products, plot_products, pose_products
 from bubbleviz_ui.model.registry import PATCH
@@ -127,23 +129,43 @@ class Controller(QObject):
     replaced = Signal()  # A source, or its sensor, by the one that is `opened` then
     opened = Signal(object)  # `Opened`: another source or sensor, or one that was in the background
     shown = Signal(object)  # `Result` to draw
+    group_changed = Signal()  # Sensors were added or removed, or another one is chosen
+    other_opened = Signal()  # A sensor that the panels do not show
+    other_solved = Signal()
     failed = Signal(object)  # `Failed`, to be shown to the user
     compared = Signal(object, object)  # Compared settings, and the measurement of each
 
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.state = state
-        self.client = SensorClient(state)  # Sensor shown by the panels
+        self.clients = [SensorClient(state)]  # Of the sensors that are open together
+        self.chosen = 0  # Number of the one shown by the panels
+        self._ending: list[SensorClient] = []
         self.opening = Opening(state, lambda request: self.client.open(request))
         self.analysis = Analysis(state, lambda: self.client)
         self.player = Player(state)
         self._cold_solve_timer = QTimer(self, singleShot=True, interval=COLD_SOLVE_DELAY_MS)
         self._cold_solve_timer.timeout.connect(self.cold_solve)
-        self._listen(self.client)
+        self._listen()
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
         state.frozen_changed.connect(self._on_playing)
         state.settings_changed.connect(self._on_settings)
+
+    @property
+    def client(self) -> SensorClient:
+        """The sensor shown by the panels."""
+        return self.clients[self.chosen]
+
+    @property
+    def others(self) -> list[SensorClient]:
+        """The other sensors that are open."""
+        return [each for each in self.clients if each is not self.client and each.opened]
+
+    @property
+    def group(self) -> tuple[PlacedSensor, ...]:
+        """The sensors that were opened together; empty: one alone."""
+        return self.opening.group
 
     @property
     def worker(self) -> Worker:
@@ -179,7 +201,8 @@ class Controller(QObject):
         """Stop playback and the solver thread."""
         self.player.close()
         self._cold_solve_timer.stop()
-        self.client.close()
+        for client in (*self.clients, *self._ending):
+            client.close()
 
     def set_object(
         self,
@@ -232,15 +255,41 @@ class Controller(QObject):
         self._cold_solve_timer.stop()
         self.client.request_cold_solve()
 
-    def switch_to(self, client: SensorClient) -> None:
-        """Show the other sensor of a session in the panels."""
-        before, self.client = self.client, client
+    def choose(self, number: int) -> None:
+        """Show a sensor of the group in the panels."""
+        if self.clients[number] not in self.others:
+            return
         playing, frozen = self.state.playing, self.state.frozen
-        self._listen(before, on=False)
-        self._listen(client)
+        self._listen(on=False)
+        self.chosen = number
+        self._listen()
+        self.group_changed.emit()
         self._present(playing=playing)
         self.state.freeze(frozen)
         self._request_frame()
+        self.request_others()
+
+    def set_extra_products(self, products: frozenset[Product]) -> None:
+        """Set products that all sensors compute for publishing."""
+        for client in self.clients:
+            client.extra_products = products
+
+    def regroup(self, group: tuple[PlacedSensor, ...] = ()) -> None:
+        """Have solver threads for the sensors of a group, of which the first is being opened.
+
+        Those of the others end by themselves.
+        """
+        first = self.client
+        self._listen(on=False)
+        ended = [*self._ending, *(each for each in self.clients if each is not first)]
+        self._ending = [each for each in ended if not each.close(0.0)]
+        self.clients = [first, *(SensorClient(self.state) for _ in group[1:])]
+        self.chosen, self.opening.group = 0, group
+        first.name = ""
+        for client, sensor in zip(self.clients, group, strict=False):
+            client.name, client.extra_products = sensor.name, first.extra_products
+        self._listen()
+        self.group_changed.emit()
 
     # -- the model changed --------------------------------------------------------------------
 
@@ -248,6 +297,8 @@ class Controller(QObject):
         self._cold_solve_timer.stop()  # until the next frame is shown
         if not (by_playback and self.state.facts.grows):
             self._request_frame()
+        if not (by_playback and self._follows):  # a live frame may arrive after a pause
+            self.request_others()
 
     def _on_playing(self) -> None:
         """Playback or the view of a live source has stopped or resumed."""
@@ -256,6 +307,7 @@ class Controller(QObject):
             self._request_frame()  # else the cold solve delivers them, with a single registration
         self._schedule_cold_solve()
         self._request_newest()
+        self.request_others()
 
     def _on_settings(self, names: frozenset[str]) -> None:
         settings, sensor = self.state.settings, self.sensor
@@ -274,6 +326,9 @@ class Controller(QObject):
                 self.analysis.start()
         elif names & PATCH_SETTINGS:
             self.client.request_patch()
+        for other in self.others if names & PATCH_SETTINGS else ():
+            other.history.forget_patches()
+        self.request_others()
 
     # -- requests -----------------------------------------------------------------------------
 
@@ -297,17 +352,75 @@ class Controller(QObject):
         if state.facts.grows and state.advancing:
             self.client.request_newest(Demand.of(state.settings))
 
+    @property
+    def _follows(self) -> bool:
+        """Whether the newest frames of live sensors are shown."""
+        return self.state.facts.grows and self.state.advancing
+
+    def _follow_others(self) -> None:
+        if self._follows:
+            self.request_others()
+
+    def request_others(self) -> None:
+        """Request the newest frames of the other sensors, else those of the same time."""
+        for other in self.others:
+            if self._follows:
+                other.request_newest(self._others_demand, at_once=True)
+            else:
+                other.request_frame(self._frame_of(other), self._others_demand)
+
+    @property
+    def _others_demand(self) -> Demand:
+        """Demand of the layers in the view."""
+        return Demand.of(replace(self.state.settings, panels=frozenset()))
+
+    def _frame_of(self, other: SensorClient) -> int:
+        """Frame of another sensor at the time of the cursor.
+
+        Recordings made at the same time are aligned by their stamps, others by their first frames.
+        """
+        opened, shown, own_s = other.opened, self.result, self.state.facts.times_s
+        if opened is None:
+            return 0
+        time_s = float(own_s[self.state.frame])
+        if opened.request.source.stream is not None:
+            return opened.request.source.stream.at(time_s)
+        times_s = opened.facts.times_s
+        later_s = _start_s(shown.frame) - _start_s(opened.result.frame)
+        if -own_s[-1] < later_s < times_s[-1]:
+            time_s += later_s
+        return int(np.abs(times_s - time_s).argmin())
+
     # -- answers ------------------------------------------------------------------------------
 
-    def _listen(self, client: SensorClient, *, on: bool = True) -> None:
-        for signal, slot in (
-            (client.opened_source, self._on_opened),
-            (client.solved, self._on_solved),
-            (client.patched, self._show),
-            (client.paused, self._on_paused),
-            (client.failed, self._on_failed),
-        ):
-            signal.connect(slot) if on else signal.disconnect(slot)
+    def _listen(self, *, on: bool = True) -> None:
+        for client in self.clients:
+            chosen = client is self.client
+            for signal, slot in (
+                (client.opened_source, self._on_opened if chosen else self._on_other_opened),
+                (client.solved, self._on_solved if chosen else self._on_other_solved),
+                (client.patched, self._show if chosen else None),
+                (client.paused, self._on_paused if chosen else self._follow_others),
+                (client.failed, self._on_failed if chosen else self._on_other_failed),
+            ):
+                if slot is not None:
+                    signal.connect(slot) if on else signal.disconnect(slot)
+
+    def _on_other_opened(self, _: object) -> None:
+        self.other_opened.emit()
+        self.request_others()
+
+    def _on_other_failed(self, failed: Failed) -> None:
+        self.state.messages.add("error", failed.message, failed.details)
+
+    def _on_other_solved(self, _: object, newest: bool) -> None:
+        """Request the next frame at once: no sensor waits for another.
+
+        A frame requested during playback may arrive after a pause, and has another time then.
+        """
+        if newest or self._follows:
+            self.request_others()
+        self.other_solved.emit()
 
     def _on_failed(self, failed: Failed) -> None:
         self.opening.finish(failed.request, failed)
@@ -332,6 +445,14 @@ class Controller(QObject):
             self.client.request_patch()
 
     def _on_opened(self, opened: Opened) -> None:
+        """Show the source, and open the other sensors of its group after it."""
+        group = opened.request.group
+        if group != self.group:
+            self.regroup(group)
+            first = replace(opened.request, frame=0, playing=True, demand=self._others_demand)
+            for client, sensor in zip(self.clients[1:], group[1:], strict=True):
+                request = replace(first, source=sensor.source, open_sensor=sensor.open_sensor)
+                client.open(request)
         self.replaced.emit()
         self._present(playing=opened.request.playing)
         self.opening.finish(opened.request)
@@ -366,8 +487,14 @@ class Controller(QObject):
         self.state.history_changed.emit()
         if seen:
             self.shown.emit(shown)
+            self._follow_others()
         self._schedule_cold_solve()
 
     def _schedule_cold_solve(self) -> None:
         """Start the delay of the cold solve if one is due."""
         self._cold_solve_timer.stop() if self.cold_solved else self._cold_solve_timer.start()
+
+
+def _start_s(frame: Frame) -> float:
+    """Stamp of a source's first frame, s."""
+    return 1e-9 * frame.stamp_ns - frame.time_s

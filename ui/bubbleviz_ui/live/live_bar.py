@@ -27,7 +27,7 @@ from bubbleviz.wording import count_of, minutes_and_seconds
 from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.live.recording_control import new_name
-from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.live.sensor_group import SensorGroup
 from bubbleviz_ui.model.source_facts import Badge, untrusted_text
 from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
@@ -68,9 +68,12 @@ FAULT_COUNTERS = {
 class LiveBar(QFrame):
     """Badge and controls, wrapped into rows if narrow; message counters below."""
 
-    def __init__(self, live: LiveController, pair: SensorPair, units: Units) -> None:
+    def __init__(
+        self, live: LiveController, controller: Controller, group: SensorGroup, units: Units
+    ) -> None:
         super().__init__()
-        self._live, self._pair, self._units = live, pair, units
+        self._live, self._controller, self._units = live, controller, units
+        self._group = group
         self.state = QLabel(wordWrap=True)
         # in a narrow bar the rate needs a second line at times: the bar does not jump
         self.state.setMinimumHeight(2 * self.state.fontMetrics().height())
@@ -109,7 +112,7 @@ class LiveBar(QFrame):
         """Update everything after a change of session or source."""
         run, waits = self._live.run, self._live.connection is not None
         left = self._live.state.badge == "disconnected"
-        self.setVisible(run is not None or waits or left or bool(self._pair.sensors))
+        self.setVisible(run is not None or waits or left or bool(self._controller.group))
         for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
@@ -159,7 +162,7 @@ class LiveBar(QFrame):
     def _connect(self) -> None:
         live = self._live
         live.changed.connect(self.show_all)
-        self._pair.selection_changed.connect(self.show_all)
+        self._controller.group_changed.connect(self.show_all)
         live.updated.connect(self.update_status)
         live.state.source_changed.connect(self.show_all)
         live.state.frozen_changed.connect(self.update_status)
@@ -216,8 +219,8 @@ class LiveBar(QFrame):
             button = self.sensors.pop()
             self._head.removeWidget(button)
             button.deleteLater()
-        for number, sensor in enumerate(self._pair.sensors):
-            select = partial(self._pair.select, number)
+        for number, sensor in enumerate(self._controller.group):
+            select = partial(self._choose, number)
             button = tool_button(f"● {sensor.name}", SENSOR_TIP, select, checkable=True)
             own = QPalette()
             for role in (theme.ROLES.ButtonText, theme.ROLES.Highlight):
@@ -225,16 +228,18 @@ class LiveBar(QFrame):
             own.setColor(theme.ROLES.HighlightedText, QColor(theme.ON_BADGE))
             button.setPalette(own)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-            button.setChecked(number == self._pair.selected)
+            button.setChecked(number == self._controller.chosen)
             self._head.addWidget(button)
             self.sensors.append(button)
 
+    def _choose(self, number: int) -> None:
+        self._group.choose(number)
+        self.show_all()  # a click has changed the button
+
     def _show_untrusted(self) -> None:
         """Show untrusted results on the buttons, as the readout is only of the selected sensor."""
-        for number, (sensor, button) in enumerate(
-            zip(self._pair.sensors, self.sensors, strict=False)
-        ):
-            name, doubt = sensor.name, untrusted_text(self._pair.result_of(number))
+        for client, button in zip(self._controller.clients, self.sensors, strict=False):
+            name, doubt = client.name, untrusted_text(client.result)
             button.setText(f"● {name}: {doubt.partition(':')[0]}" if doubt else f"● {name}")
             button.setToolTip(doubt or SENSOR_TIP)
 

@@ -15,7 +15,7 @@ from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.live.connection import Connection, LiveRun
 from bubbleviz_ui.live.publishing import PRODUCTS, Publishing
 from bubbleviz_ui.live.recording_control import DEFAULT_FOLDER, Recording
-from bubbleviz_ui.live.sensor_pair import SensorPair
+from bubbleviz_ui.live.sensor_group import SensorGroup
 from bubbleviz_ui.model.messages import OPENING
 from bubbleviz_ui.model.settings import RECORDING_SETTINGS
 from bubbleviz_ui.model.source_facts import ConnectionState
@@ -34,10 +34,10 @@ class LiveController(QObject):
     changed = Signal()  # Session connected or disconnected
 
     def __init__(
-        self, controller: Controller, pair: SensorPair, view: View, undo: UndoRecorder
+        self, controller: Controller, group: SensorGroup, view: View, undo: UndoRecorder
     ) -> None:
         super().__init__()
-        self._controller, self._pair, self.state = controller, pair, controller.state
+        self._controller, self._group, self.state = controller, group, controller.state
         self._undo = undo
         self._worker = Worker("live")
         self.recording = Recording(self._worker, self.state.messages)
@@ -63,7 +63,7 @@ class LiveController(QObject):
     @property
     def sensor(self) -> LiveSensor | None:
         """The sensor shown by the panels."""
-        return None if self.run is None else self.run.session.sensors[self._pair.selected]
+        return None if self.run is None else self.run.session.sensors[self._controller.chosen]
 
     @property
     def connection_state(self) -> ConnectionState:
@@ -117,7 +117,7 @@ class LiveController(QObject):
         self.cancel()
         self.recording.stop()
         self.publishing.stop()
-        self._pair.end()
+        self._controller.regroup()
         run, self.run, self._first_drawn = self.run, None, False
         self.state.set_connection("disconnected")
         if run is not None:
@@ -159,7 +159,6 @@ class LiveController(QObject):
         """
         connection = self.connection
         self.disconnect_all()
-        self._pair.close()
         self.publishing.close()
         self._worker.close()
         if connection is not None:
@@ -172,7 +171,7 @@ class LiveController(QObject):
         if self._update_due:
             self._update()
         self._update_due = True
-        self._pair.follow_if_alone()
+        self._group.follow_if_alone()
 
     def _on_shown(self, _: object) -> None:
         if self._update_due and self._timer.isActive():
@@ -260,11 +259,11 @@ class LiveController(QObject):
     def _record_marker(self, frame: int) -> None:
         """Write a marker of the timeline to the recording, at the frame's arrival time."""
         if self.state.facts.grows and self.run is not None:
-            at_ns = self.run.frames[self._pair.selected].arrival_ns(frame)
+            at_ns = self.run.frames[self._controller.chosen].arrival_ns(frame)
             self.recording.mark(f"marker at frame {frame}", at_ns)
 
     def _update_published_products(self) -> None:
-        self._pair.set_extra_products(PRODUCTS if self.publishing.on else frozenset())
+        self._controller.set_extra_products(PRODUCTS if self.publishing.on else frozenset())
 
 
 def _sensors_of(run: LiveRun) -> list[PlacedSensor]:

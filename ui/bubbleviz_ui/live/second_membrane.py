@@ -8,7 +8,7 @@ import numpy as np
 from PySide6.QtCore import QObject
 
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.live.sensor_pair import APART
+from bubbleviz_ui.live.sensor_group import APART
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import OtherSensor, Scene
