@@ -220,6 +220,7 @@ def test_killed_in_the_middle_then_resumed(
     assert table_of(out)[long_recording.name]["frames"] == str(LONG)
 
 
+@pytest.mark.long  # in short: in test_stopped_commands.py
 def test_interrupt_leaves_complete_files(recordings, sensor, long_recording, tmp_path, eventually):
     out = tmp_path / "out"
     running = begin(recordings, "--sensor", sensor, "--out", out, "--jobs", "1")
@@ -315,6 +316,7 @@ def test_single_recording_as_input(recordings):
     assert find_recordings(recordings) == [recordings]
 
 
+@pytest.mark.long
 def test_depth_topic_is_that_of_every_recording(tmp_path, sensor):
     folder, bag = tmp_path / "in", BagMaker("mcap file")
     for k, frame in enumerate(small_source(sensor)):

@@ -24,6 +24,7 @@ def ladder(dome):
     return Ladder(dome.presses, 0.0, GRID)
 
 
+@pytest.mark.long  # in short: tests/inverse/test_detection.py
 @pytest.mark.parametrize("setup", [RUBBER, pytest.param(LINEAR, marks=pytest.mark.long)])
 def test_a_press_of_a_millimetre_is_found_and_noise_is_not(setup, dome, ladder):
     pipeline = setup.pipeline(dome.model(ONE))

@@ -26,6 +26,7 @@ def test_a_shift_of_the_gas_pressure_of_a_linear_sensor_is_judged_frame_by_frame
     assert 0 < found.reported + found.covered <= found.frames == 10
 
 
+@pytest.mark.long  # in short: tests/live/test_assembler.py
 def test_frozen_camera_is_reported():
     study = faults_study(30, seed=0)
     frozen = next(case for case in study.cases if case.name.endswith("flat pico: frozen"))

@@ -4,7 +4,7 @@ import os
 
 from benchmarks.fuzz import KINDS, fuzz, to_text
 
-INPUTS = 270 if "TEST_ALL" in os.environ else 8 * len(KINDS)
+INPUTS = 270 if "TEST_ALL" in os.environ else 4 * len(KINDS)
 
 
 def test_every_input_is_read_or_refused_in_one_line(tmp_path):

@@ -112,7 +112,7 @@ def test_precise_gauge_pressure_is_kept(identified):
     assert rest_pa == pytest.approx(ATMOSPHERE_PA + GAUGE_PA, abs=3.0)
 
 
-@pytest.mark.parametrize("weather_pa", [-1500.0, 1500.0])
+@pytest.mark.parametrize("weather_pa", [pytest.param(-1500.0, marks=pytest.mark.long), 1500.0])
 def test_an_absolute_sensor_alone_leaves_a_wide_interval(identified, weather_pa):
     """The atmospheric pressure in the sensor file is of another day."""
     found = identified(atmospheric_pressure_pa=ATMOSPHERE_PA - weather_pa)
@@ -145,6 +145,7 @@ def test_levels_and_file_that_contradict_each_other_are_doubtful(identified):
     assert f"{levels.value:.0f} Pa" in said and "2000 Pa" in said and "(--vented)" in said
 
 
+@pytest.mark.long
 def test_levels_are_found_from_a_gauge_pressure_that_is_far_too_low():
     """Of an oval dome; the fit must not slide down to constant tension at 44 kPa."""
     oval = InflatedRubber.moulded_dome((0.0557, 0.0396), 0.0235, 330.0, 1.0001, GAUGE_PA)
@@ -184,8 +185,11 @@ def rendered_presses():
     [
         pytest.param({"gauge_sigma_pa": 0.01 * GAUGE_PA}, id="known"),
         pytest.param({}, marks=pytest.mark.long, id="unknown"),
-        # as the levels' own error is
-        pytest.param({"atmospheric_pressure_pa": ATMOSPHERE_PA - 1500.0}, id="too high"),
+        pytest.param(  # as the levels' own error is
+            {"atmospheric_pressure_pa": ATMOSPHERE_PA - 1500.0},
+            marks=pytest.mark.long,
+            id="too high",
+        ),
     ],
 )
 def test_force_of_presses_after_levels(rendered_presses, pneumatics, tmp_path):

@@ -37,6 +37,7 @@ def held(press, found):
     return collect_press(press, found.samples, found.given)
 
 
+@pytest.mark.long  # in short: of the twin, in test_rubber_press.py
 def test_gauge_pressure_from_the_press(found, held):
     """No wrench is used. The lab lies 225 m up, where the air has 98.7 kPa in the mean."""
     result = with_rubber(found, [], press=held)
@@ -55,6 +56,7 @@ def test_contact_free_frames(press):
     assert abs(find_contact_free(press).frames.stop - 60) <= 3
 
 
+@pytest.mark.long  # in short: of the twin, in test_refusals.py
 def test_held_press_is_not_taken_as_rest(press, found):
     """It is not quite still; its largest change of depth from rest, 5.5 mm, is at (259, 289)."""
     with pytest.raises(InputError, match=r"by 2\.\d mm or more around pixel \(2[56]\d, 2[89]\d\)"):

@@ -47,7 +47,7 @@ def source_of(level, gas_error_pa=0.0):
     return sheet().recording(level, seed, frames=FRAMES, width=WIDTH, gas_error_pa=gas_error_pa)
 
 
-@pytest.mark.parametrize("level", [0.85, 1.15])
+@pytest.mark.parametrize("level", [pytest.param(0.85, marks=pytest.mark.long), 1.15])
 def test_inflation_equals_the_meridian_solution(level):
     truth = AxialRubber(0.045, 110.0, 1.15, G)
     rest = swept_mesh(truth.rest, 1000)
@@ -59,7 +59,9 @@ def test_inflation_equals_the_meridian_solution(level):
     assert np.sqrt(np.mean(error**2)) < 0.01 * np.sqrt(np.mean(motion**2))
 
 
-@pytest.mark.parametrize("share", [-0.6, 0.1, 0.5])
+@pytest.mark.parametrize(
+    "share", [-0.6, *(pytest.param(each, marks=pytest.mark.long) for each in (0.1, 0.5))]
+)
 def test_an_inflated_membrane_is_in_equilibrium(share):
     """Nodal forces of rubber and gas cancel, apart from the residual at rest."""
     rest = swept_mesh(AxialRubber(0.045, 110.0, 1.15, G).rest, 300)
@@ -150,6 +152,7 @@ def known(found, vented, levels):
     return with_rubber(opened(found, vented), levels)
 
 
+@pytest.mark.long
 def test_stretch_that_levels_hardly_tell_from_constant_tension():
     """λ of 1.55: the interval holds it, and ends at constant tension."""
     rubber, noise = round_sheet(0.045, 123.0, 1.4, 4000.0), DepthNoise(absolute_m=1e-4)
@@ -188,6 +191,7 @@ def test_known_gauge_pressure_makes_the_prestretch_more_certain(known, free):
     assert free.prestretch is None or free.prestretch.half_width > 2.0 * width
 
 
+@pytest.mark.long
 def test_interval_of_the_prestretch_follows_that_of_the_gauge_pressure(found, free, levels):
     """Were the true gauge pressure at one end of its interval, λ would be within its own."""
     for end in (free.gauge.low, free.gauge.high):
@@ -326,6 +330,7 @@ def test_levels_tell_a_stiffness_that_changes_over_the_membrane(vented, gradient
         assert in_file == pytest.approx(found.value, abs=1e-4)
 
 
+@pytest.mark.long
 def test_interval_holds_an_unequal_stretch_that_levels_do_not_tell(vented):
     """22 % along y, 10 % along x; a dome that needs more than its λ for its area has none.
 
@@ -340,6 +345,7 @@ def test_interval_holds_an_unequal_stretch_that_levels_do_not_tell(vented):
     assert by_levels(even_dome(), vented, 1e-3).rubber["unequal_tension_x"].half_width < 0.02
 
 
+@pytest.mark.long  # in short: in test_rubber_press.py
 def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented, known, levels):
     """A tenth of the pixels is 3 mm too close at one level: outliers have no weight."""
     low, high = levels

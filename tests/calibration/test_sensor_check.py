@@ -146,13 +146,14 @@ def dome(tmp_path_factory):
     return load_sensor(file), frames
 
 
-def of_dome(sensor, source, change=np.asarray):
-    """Check of a changed source without the force of a press, which the twin's checks have."""
+def quick_check(sensor, source, change=np.asarray):
+    """Check of a changed source without the force of a press, which other checks have."""
     frames = with_depth([source[k] for k in range(10)], change)
     model = SensorModel.of(sensor, frames[0].intrinsics)
     return check_sensor(model, frames, quick=True)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("level", "change_pa"), [("low", -788.7), ("high", 788.7)])
 def test_intervals_hold_the_truth_of_another_solver(dome, level, change_pa):
     """Levels of ±15 % of a dome whose stretch is not uniform, with the depth of calibration.
@@ -161,7 +162,7 @@ def test_intervals_hold_the_truth_of_another_solver(dome, level, change_pa):
     quantities that did not change.
     """
     sensor, frames = dome
-    found = of_dome(sensor, frames(level, 11))
+    found = quick_check(sensor, frames(level, 11))
     assert found.verdict == "drifted" and "inflate the sensor" in found.reason
     *image, gas = found.rows[:7]
     assert abs(gas.value - change_pa) < gas.half_width < 160.0
@@ -170,50 +171,53 @@ def test_intervals_hold_the_truth_of_another_solver(dome, level, change_pa):
     assert told == ["gas pressure change from the shape"]
 
 
+@pytest.mark.long
 def test_intervals_hold_two_changes_together(dome):
     """Whose effects are similar: the intervals say that the shape alone hardly tells them apart."""
     sensor, frames = dome
-    found = of_dome(sensor, frames("high", 13), lambda depth: depth + 2e-4)
+    found = quick_check(sensor, frames("high", 13), lambda depth: depth + 2e-4)
     assert found.verdict == "drifted" and "inflate the sensor" in found.reason
     truth = {"depth offset": 2e-4, "gas pressure change from the shape": 788.7}
     for row in found.rows[:5]:
         assert abs(row.value - truth.get(row.quantity, 0.0)) < row.half_width, row
 
 
+@pytest.mark.long
 def test_two_changes_that_look_like_a_third_are_found_together(dome):
     """An offset and a smaller scale leave about the image of another inflation."""
     sensor, frames = dome
-    found = of_dome(sensor, frames("rest", 21), lambda depth: 0.994 * depth + 3e-4)
+    found = quick_check(sensor, frames("rest", 21), lambda depth: 0.994 * depth + 3e-4)
     told = [row.quantity for row in found.rows if row.todo]
     assert told == ["depth offset", "depth scale"]
     assert abs(size_of(found, "depth scale") + 0.006) < found.rows[3].half_width
 
 
+@pytest.mark.long
 def test_a_measured_gas_pressure_excludes_inflation(dome):
     """A camera displaced along its axis looks like another inflation, but for the gas pressure."""
     sensor, frames = dome
     x, y, z = sensor.camera.position_m
     moved = changed(sensor, camera={"position_m": (x, y, z + 1e-3)})
-    found = of_dome(moved, frames("rest", 14))
+    found = quick_check(moved, frames("rest", 14))
     assert found.verdict != "fits" and "mounting" in found.reason
     gas = found.rows[6]
     assert not gas.todo and abs(gas.value) < gas.half_width < 130.0
 
 
+@pytest.mark.long
 def test_a_camera_displaced_across_its_axis(dome):
     sensor, frames = dome
     x, y, z = sensor.camera.position_m
     moved = changed(sensor, camera={"position_m": (x - 1e-3, y, z)})
-    found = of_dome(moved, frames("rest", 12))
+    found = quick_check(moved, frames("rest", 12))
     assert size_of(found, "camera shift to the right") == pytest.approx(1e-3, abs=1e-4)
     told = r"camera shift to the right (0\.9|1\.0)\d* ± 0\.\d+ mm.*: check the camera's mounting"
     assert re.search(told, found.reason)
 
 
-def test_a_tilt_of_depth(dome):
-    sensor, frames = dome
+def test_a_tilt_of_depth(sensor, rest):
     right = (np.arange(160) - 79.5) / 107.5  # tangent of the angle off the optical axis
-    found = of_dome(sensor, frames("rest", 12), lambda depth: depth + 3e-4 * right)
+    found = quick_check(sensor, rest, lambda depth: depth + 3e-4 * right)
     assert found.verdict == "drifted"
     assert size_of(found, "depth tilt to the right, at 45°") == pytest.approx(3e-4, abs=2e-5)
     assert [row.quantity for row in found.rows if row.todo] == ["depth tilt to the right, at 45°"]

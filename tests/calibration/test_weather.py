@@ -108,6 +108,7 @@ def test_a_rest_late_in_a_recording_is_found(twin):
     assert zero.words.startswith("gas pressure zero: +99") and "contact-free frames" in zero.words
 
 
+@pytest.mark.long  # in short: of the twin, above
 @pytest.mark.parametrize("rest", [True, False])
 def test_weather_of_the_real_press(punyo_press, rest):
     """As on its own day; 1 kPa more made 7.75 N of it, believed to 0.24 N."""

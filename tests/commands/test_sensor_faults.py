@@ -3,7 +3,6 @@
 A frame must be refused, warned of, or have the force of the undisturbed recording in its interval.
 """
 
-import os
 import re
 import shutil
 import struct
@@ -21,7 +20,7 @@ ROWS, COLUMNS, DENT = 480, 640, (259, 289)
 """Size of the images, and the pixel (u, v) of the press."""
 FOCAL_LENGTHS = (132, 164, 276, 316)
 """Where a camera info has fx, fy, fx, fy."""
-STEP, CONTACT = 3 if "TEST_ALL" in os.environ else 6, 60
+STEP, CONTACT = 3, 60
 """Of so many frames one is kept, of half as many before contact."""
 
 
@@ -96,16 +95,13 @@ def undisturbed(punyo_press, tmp_path_factory):
     return force
 
 
+@pytest.mark.long  # in short: tests/inverse/test_image_errors.py and test_image_zero.py
 @pytest.mark.parametrize(
     "change",
     [
         # shifts of the gas pressure of the same press: calibration/test_weather.py
         pytest.param(depth(drift), id="depth drifts by 0.5 mm"),
-        pytest.param(
-            depth(lambda image, _: image * np.float32(0.995)),
-            id="depth × 0.995",
-            marks=pytest.mark.long,
-        ),
+        pytest.param(depth(lambda image, _: image * np.float32(0.995)), id="depth × 0.995"),
         pytest.param(focal_length(1.02), id="focal lengths × 1.02"),
         pytest.param(depth(lambda image, _: image[::-1, ::-1]), id="turned by 180°"),
         pytest.param(with_hole(16), id="hole of 16 pixels at the press"),

@@ -123,6 +123,7 @@ def test_a_stream_that_begins_anew_is_not_averaged_with_itself():
     assert images(found)[-2:] == [1, 1]
 
 
+@pytest.mark.long  # in short: faster motions, below
 def test_a_motion_too_slow_to_be_seen_shifts_no_force():
     """A press of 0.02 mm a frame, seen in images of both sides, or of one as at the end."""
     depths = 6.0 + 0.02 * np.arange(14)

@@ -51,7 +51,9 @@ def test_a_single_part_is_always_contact():
     np.testing.assert_array_equal(significant_contact(MESH, contact_of(weak, [1e6])), weak > 0.0)
 
 
-@pytest.mark.parametrize("frame", [64, 65, 66, 67])
+@pytest.mark.parametrize(
+    "frame", [64, *(pytest.param(k, marks=pytest.mark.long) for k in (65, 66, 67))]
+)
 def test_real_press_is_one_contact_in_every_frame(punyo_press, frame):
     """While it is loaded; its gas pressure needs no zero."""
     source = Recording(punyo_press)

@@ -114,6 +114,7 @@ def test_presses_are_no_noise():
     assert zeros_of(HeldFrames(frames), Pipeline.of(precise)).gas.frames == 10
 
 
+@pytest.mark.long  # in short: above
 def test_deep_presses_that_differ_in_all_frames_are_no_noise():
     camera = {"width": 160, "height": 120, "fx": 112.0, "fy": 112.0, "cx": 79.5, "cy": 59.5}
     camera |= {"position_m": (0.0, 0.0, -0.062), "noise_relative": 0.0015}
@@ -129,6 +130,7 @@ def test_deep_presses_that_differ_in_all_frames_are_no_noise():
     assert run.force_n == pytest.approx(np.array(forces), abs=0.1)
 
 
+@pytest.mark.long  # in short: above
 def test_presses_alone_are_no_noise_though_the_camera_has_changed(identified):
     """Another solver's dome; each frame is pressed, and fits noise as well as contact."""
     truth = rubber_truth("dome_ball")

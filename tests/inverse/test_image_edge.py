@@ -22,7 +22,11 @@ FROM_MIDDLE_PX = {
 }
 
 
-@pytest.fixture(scope="module", params=[NOISE_M, 6e-4], ids=["0.1 mm", "1 %"])
+@pytest.fixture(
+    scope="module",
+    params=[NOISE_M, pytest.param(6e-4, marks=pytest.mark.long)],
+    ids=["0.1 mm", "1 %"],
+)
 def noisy(request):
     """Noise of the depth, m, and the estimator for it."""
     return request.param, estimator(1000, relative=request.param / 0.065)
@@ -32,9 +36,9 @@ def noisy(request):
     ("side", "depth", "ball", "cut"),
     [
         ("left", 0.009, BALL, 0.4),  # beyond the axis, over the contact's radius
-        ("right", 0.009, BALL, -0.2),
+        pytest.param("right", 0.009, BALL, -0.2, marks=pytest.mark.long),
         ("top", 0.006, BALL, -0.7),  # a sliver is seen
-        ("top", 0.006, np.inf, 0.2),
+        pytest.param("top", 0.006, np.inf, 0.2, marks=pytest.mark.long),
         ("bottom", 0.006, np.inf, 0.15),
     ],
 )
@@ -54,7 +58,8 @@ def test_force_of_a_contact_cut_off_by_the_edge_is_in_its_interval(noisy, side, 
 
 
 @pytest.mark.parametrize(
-    ("depth_m", "drag_m", "side", "cut"), [(0.002, 4e-4, 1.0, -1.5), (0.0015, 3e-4, -1.0, -1.0)]
+    ("depth_m", "drag_m", "side", "cut"),
+    [(0.002, 4e-4, 1.0, -1.5), pytest.param(0.0015, 3e-4, -1.0, -1.0, marks=pytest.mark.long)],
 )
 def test_friction_of_a_contact_beyond_the_edge_is_in_its_interval(depth_m, drag_m, side, cut):
     """A ball that sticks and is dragged, most of it or all of it out of view."""

@@ -69,6 +69,7 @@ def errors(frames, force_n):
     return [np.linalg.norm(each.force_n - force_n) for each in found]
 
 
+@pytest.mark.long  # in short: below
 def test_frames_without_contact_make_the_force_more_accurate():
     with_rest, alone = [], []
     for seed in SEEDS:
@@ -86,7 +87,7 @@ def test_a_camera_that_has_changed_since_calibration(scale):
     assert max(error) < 0.06 * np.linalg.norm(force_n)
 
 
-@pytest.mark.parametrize("offset_m", [-5e-4, 5e-4])
+@pytest.mark.parametrize("offset_m", [-5e-4, pytest.param(5e-4, marks=pytest.mark.long)])
 def test_a_camera_that_moves_during_contact(offset_m):
     """What was known of its images does not count any more: it would make the force wrong."""
     frames, _ = press(0)
@@ -105,7 +106,9 @@ def test_a_camera_that_moves_is_not_contact(offset_m):
         assert estimator.update(shifted(frame, offset_m * (k >= 17))).status == "no_contact"
 
 
-@pytest.mark.parametrize("shift_m", [(1e-3, 0.0, 0.0), (0.0, -1e-3, 0.0)])
+@pytest.mark.parametrize(
+    "shift_m", [(1e-3, 0.0, 0.0), pytest.param((0.0, -1e-3, 0.0), marks=pytest.mark.long)]
+)
 def test_a_camera_that_was_moved_across_its_axis_since_the_calibration(shift_m):
     """Else it looks like contact in the frames without any, and like friction in the others."""
     position_m = np.add(rubber_dome().camera.position_m, shift_m)

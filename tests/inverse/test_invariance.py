@@ -57,6 +57,7 @@ def test_a_jump_to_a_frame_of_the_real_press_finds_the_same_force(pipeline, fram
     assert force_of(pipeline.process(frames[78], PATCH)) == pytest.approx(alone, rel=0.01)
 
 
+@pytest.mark.long  # in short: in tests/inverse/test_rubber_estimator.py
 def test_a_frame_of_the_real_onset_has_one_force(pipeline, punyo_press):
     """Alone, after its predecessor or successor, and again from its own solution."""
     with Recording(punyo_press) as recording:
@@ -80,31 +81,6 @@ def test_a_frame_of_the_real_onset_has_one_force(pipeline, punyo_press):
     assert np.mean(np.array(shares) < 1.0) >= 0.95
     assert max(shares) < 1.3
     assert np.allclose(areas, 1.0, atol=0.15)
-
-
-def test_frames_of_the_onset_are_also_solved_in_playback(pipeline, frames):
-    """Contacts of two to nine nodes, whose images fit no shape to the noise.
-
-    While the press is loaded the camera's filter mixes images.
-    """
-    played = [pipeline.process(frames[k], PATCH) for k in range(60, 71)][3:]
-    alone = []
-    for k in range(63, 71):
-        pipeline.restart()
-        alone.append(pipeline.process(frames[k], PATCH))
-    assert [r.estimate.status for r in played] == [r.estimate.status for r in alone]
-    for value, median, most in (
-        (normal_of, 0.01, 0.03),
-        (force_of, 0.01, 0.03),
-        (area_of, 0.03, 0.25),
-    ):
-        change = [abs(value(a) / value(b) - 1.0) for a, b in zip(played, alone, strict=True)]
-        assert np.median(change) < median
-        assert max(change) < most
-
-
-def normal_of(result):
-    return np.linalg.norm(result.patch.force_n - result.patch.tangential_force_n)
 
 
 def area_of(result):

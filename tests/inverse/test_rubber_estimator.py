@@ -117,6 +117,7 @@ def test_presses_on_another_mesh(name, noise_m, relative):
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < (0.06 if relative else 0.03)
 
 
+@pytest.mark.long  # in short: on a coarse one, below
 def test_two_small_contacts_are_found_on_a_fine_mesh():
     """Steps far from the solution must not explain errors of the linearisation by friction."""
     mesh, contact = pressed("two_spheres", 0.007, 0.0, nodes=4000)
@@ -126,7 +127,10 @@ def test_two_small_contacts_are_found_on_a_fine_mesh():
     assert error(estimate, contact.nodal_force_n.sum(axis=0)) < 0.01
 
 
-@pytest.mark.parametrize(("depth", "x", "noise_m"), [(0.0018, 0.0, 5e-5), (0.0012, 0.003, 2e-4)])
+@pytest.mark.parametrize(
+    ("depth", "x", "noise_m"),
+    [pytest.param(0.0018, 0.0, 5e-5, marks=pytest.mark.long), (0.0012, 0.003, 2e-4)],
+)
 def test_touches_smaller_than_a_triangle_are_found(depth, x, noise_m):
     """Two of 0.013 N, and one of 0.012 N: the mesh shows less than the gas pressure there."""
     mesh, contact = pressed("two_spheres", depth, x, nodes=4000)
@@ -138,7 +142,9 @@ def test_touches_smaller_than_a_triangle_are_found(depth, x, noise_m):
     assert np.linalg.norm(away) < 0.003
 
 
-@pytest.mark.parametrize(("depth", "off_pa"), [(0.003, 15.0), (0.007, -15.0)])
+@pytest.mark.parametrize(
+    ("depth", "off_pa"), [(0.003, 15.0), pytest.param(0.007, -15.0, marks=pytest.mark.long)]
+)
 def test_measured_gas_pressure(depth, off_pa):
     """An error of the barometer does not become force: the bulge around the contact reveals it."""
     mesh, contact = pressed("sphere", depth)
@@ -152,6 +158,7 @@ def test_measured_gas_pressure(depth, off_pa):
     assert solver.estimate(rest, solver.bubble.gas.P0 + off_pa)[0].status == "no_contact"
 
 
+@pytest.mark.long  # in short: on the axis, above
 def test_sharp_edged_rod_off_the_axis():
     """The ground truth resolves the edge, on which nodes of a uniform mesh catch as by friction."""
     there = pose(0.012, 0.006, H - 0.004)
@@ -180,7 +187,7 @@ def test_invariance_to_irrelevant_changes(change):
     assert error(other, usual.force_n) < 0.03
 
 
-@pytest.mark.parametrize("depth", [0.008, 0.011])
+@pytest.mark.parametrize("depth", [pytest.param(0.008, marks=pytest.mark.long), 0.011])
 def test_highly_stretched_rubber_is_solved_from_rest(depth):
     """Close to constant tension it bends to single nodes, which once took all of the pressure."""
     mesh, contact = pressed("sphere", depth, prestretch=1.5)
@@ -244,7 +251,7 @@ def image_of(depth, x, noise_m, seed=0):
     return depth_image_of(mesh, contact.displacement_3d_m, noise_m, seed=seed)
 
 
-@pytest.mark.parametrize("measured", [False, True])
+@pytest.mark.parametrize("measured", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_sigma_of_a_light_touch_includes_the_uncertainty_of_the_material(measured):
     """It is solved in one step from rest, where the material makes no difference."""
     mesh, contact = pressed("sphere", 0.0008)
@@ -302,7 +309,8 @@ def test_interval_of_the_force_has_the_correlations_of_its_components():
 
 
 @pytest.mark.parametrize(
-    ("name", "least", "held"), [("sphere", 0.92, 0.95), ("cylinder", 0.87, 0.75)]
+    ("name", "least", "held"),
+    [("sphere", 0.92, 0.95), pytest.param("cylinder", 0.87, 0.75, marks=pytest.mark.long)],
 )
 def test_the_patch_overlaps_the_true_contact_and_its_band_holds_the_edge(name, least, held):
     mesh, contact = pressed(name, 0.007, 0.0, nodes=4000)
@@ -322,6 +330,7 @@ def test_the_patch_overlaps_the_true_contact_and_its_band_holds_the_edge(name, l
     np.testing.assert_array_equal(patch.force_n, estimate.force_n)
 
 
+@pytest.mark.long  # in short: in test_contact_refiner.py
 def test_patch_area_equals_the_meridian_solution():
     """Without bias on a mesh as coarse as the contacts are small, at little and at much noise."""
     R = (A**2 + H**2) / (2 * H)

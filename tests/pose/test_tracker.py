@@ -162,20 +162,22 @@ def pressed_bracket(sensor, first_m):
     thin = trimesh.creation.box((0.005, 0.005, 0.012)).apply_translation((0.0105, -0.0025, -0.009))
     mesh = trimesh.util.concatenate([plate, wide, thin])
     bracket = RigidObject("bracket", np.array(mesh.vertices), np.array(mesh.faces))
-    path = np.repeat((turned("z", 25.0) @ turned("y", 8.0))[None], 9, axis=0)
-    depth = np.minimum(first_m + 2e-3 * np.arange(9), 11e-3)
+    path = np.repeat((turned("z", 25.0) @ turned("y", 8.0))[None], 7, axis=0)
+    depth = np.minimum(first_m + 2e-3 * np.arange(7), 11e-3)
     path[:, 2, 3] = touching_height(bracket, path[0], build_mesh(sensor)) - depth
     return HeldPress(sensor, bracket, path, DepthNoise(relative=0.002), nodes=4_000)
 
 
-@pytest.mark.parametrize(("first_m", "found"), [(1e-3, True), (3e-3, False)])
+@pytest.mark.parametrize(
+    ("first_m", "found"), [(1e-3, True), pytest.param(3e-3, False, marks=pytest.mark.long)]
+)
 def test_the_ellipsoid_of_a_live_pose_holds_all_that_are_not_refuted(
     pipeline, sensor, first_m, found
 ):
     """A live frame tries a few poses: the first ones found are wrong."""
     pressed = pressed_bracket(sensor, first_m)
     pipeline.track(pressed.obj)
-    poses = [pipeline.process(pressed[k], PRODUCTS).pose for k in range(9)]
+    poses = [pipeline.process(pressed[k], PRODUCTS).pose for k in range(7)]
     found_at = [
         (pose, T) for pose, T in zip(poses, pressed.poses, strict=True) if pose.status == "ok"
     ]
@@ -187,6 +189,7 @@ def test_the_ellipsoid_of_a_live_pose_holds_all_that_are_not_refuted(
         assert np.sqrt(np.diag(pose.covariance)[3:]).max() < np.pi  # no two poses are farther apart
 
 
+@pytest.mark.long  # in short: in test_recordings_searched.py
 def test_first_contacts_of_a_recording_have_the_pose_that_the_largest_determines(sensor):
     """Also with outliers at 2 m in the first image."""
     box, depths_m = cuboid(0.018, 0.012, 0.010), np.array([2e-3, 5e-3, 9.5e-3])
@@ -206,6 +209,7 @@ def test_first_contacts_of_a_recording_have_the_pose_that_the_largest_determines
     assert alike.min() > np.cos(np.radians(15.0))
 
 
+@pytest.mark.long  # in short: in test_recordings_searched.py
 def test_each_press_of_a_recording_is_searched_by_itself(sensor):
     """On another face the object has another pose; on the same one it has not turned over."""
     toy, path, times_s = study_object("two_legged_toy"), [], []
@@ -232,6 +236,7 @@ def test_each_press_of_a_recording_is_searched_by_itself(sensor):
         alike = [np.eye(4)]  # it looks the same after half a turn, but has not made one
 
 
+@pytest.mark.long  # in short: in test_pose_command.py, the search
 def test_in_a_recording_all_initial_poses_are_compared(sensor):
     """A box with three unlike faces: a live frame tries a few poses, none of them the true one."""
     box = cuboid(0.018, 0.012, 0.010)
@@ -246,7 +251,9 @@ def test_in_a_recording_all_initial_poses_are_compared(sensor):
     assert nearest > np.cos(np.radians(15.0))
 
 
-@pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.3, 0.2, 0.5), None])
+@pytest.mark.parametrize(
+    "turn", [pytest.param((0.0, 0.0, 0.0), marks=pytest.mark.long), (0.3, 0.2, 0.5), None]
+)
 def test_turn_of_a_resting_ball_stays_unknown(pipeline, sensor, turn):
     """Only its centre is determined, whatever the facets of its mesh."""
     start = moved(np.eye(4), np.array([3e-3, 2e-3, 0.042, *(turn or np.zeros(3))]), np.zeros(3))
@@ -348,7 +355,8 @@ def test_rectified_ranges_give_the_same_slide_of_flat_faces(sensor, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("scale", "offset_m", "shift_m"), [(1.0, 5e-4, 0.0), (1.01, 0.0, 0.0), (1.0, 0.0, 2e-3)]
+    ("scale", "offset_m", "shift_m"),
+    [(1.0, 5e-4, 0.0), pytest.param(1.01, 0.0, 0.0, marks=pytest.mark.long), (1.0, 0.0, 2e-3)],
 )
 def test_errors_of_the_whole_image_do_not_move_a_cross(pipeline, sensor, scale, offset_m, shift_m):
     """Its turn about the vertical, and its place, follow from the image alone."""
@@ -450,6 +458,7 @@ def test_covariance_holds_at_a_tip_that_the_estimate_rounds_off():
         assert off @ np.linalg.solve(pose.covariance[:3, :3], off) < chdtri(3, 0.05)
 
 
+@pytest.mark.long  # in short: of a cylinder, above
 def test_covariance_holds_for_a_box_that_touches_with_an_edge(sensor):
     dome = changed(
         sensor,

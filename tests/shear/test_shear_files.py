@@ -101,6 +101,7 @@ def estimated(press, sensor, out, *options):
         return {name: result[name] for name in ("traction_force_n", "sensor_toml")}
 
 
+@pytest.mark.long  # in short: in test_colour_pairing.py
 def test_colour_that_leads_by_frames_is_paired_by_the_given_delay(texture_press, tmp_path):
     """By the option, which wins, or the sensor file; without either frames are paired by stamps."""
     pytest.importorskip("cv2", reason="OpenCV, an extra, is not installed")

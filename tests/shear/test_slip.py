@@ -45,7 +45,7 @@ def slips(name, depth_m, frames, sliding_beyond):
 )
 def test_slip_by_coulombs_law_until_all_of_the_patch_slides(name, depth_m, poses):
     """A part of it still seems rigid then, and would be taken for one that sticks."""
-    eyes, told, true, longest_m = Eyes(1000), [], [], []
+    eyes, told, true, longest_m = Eyes(), [], [], []
     for seed, (truth, share, slid_m) in enumerate(slides(name, depth_m, 0.5, poses)):
         told.append(eyes.pipeline.process(eyes.see(truth, seed), frozenset({"slip"})).slip)
         true.append(share)
@@ -70,6 +70,7 @@ def test_slip_of_a_contact_of_few_nodes_is_told_or_unknown():
     assert found[-1] is None or found[-1].share > 2.0 * found[-1].share_sigma
 
 
+@pytest.mark.long  # in short: the first frames above, and below
 def test_no_alarm_while_everything_sticks():
     found = [slip for slip in slips("puck", 0.005, 10, 10.0) if slip is not None]
     assert len(found) == 9
@@ -79,7 +80,7 @@ def test_no_alarm_while_everything_sticks():
 def test_no_alarm_by_errors_of_facets():
     """A ball that turns brings other facets to each place; the flow is better than they are."""
     path, _ = press("sphere", 0.010)
-    eyes, found = Eyes(1000), []
+    eyes, found = Eyes(), []
     motions = [Motion(np.zeros(3), np.radians(4.0 * k)) for k in range(4)]
     for k, truth in enumerate(path.along(motions)):
         frame = eyes.see(truth, k, flow_px=0.01)
@@ -118,6 +119,7 @@ def test_slip_is_measured_from_the_same_contact_only():
     assert slip_of(3, 2.0) is not None  # the next frame of a slow recording
 
 
+@pytest.mark.long  # in short: by Coulomb's law, above
 def test_slip_is_unknown_after_all_of_a_patch_has_slipped():
     """Its points move together then, as if they stuck; a new contact is compared with itself."""
     path, away = press("puck", 0.005)
@@ -140,6 +142,7 @@ def test_slip_is_unknown_after_all_of_a_patch_has_slipped():
     assert again[1] is not None and again[1].share == 0.0
 
 
+@pytest.mark.long  # in short: by Coulomb's law, above
 def test_a_patch_that_slides_as_a_whole_does_not_seem_to_stick_again():
     """Slip grows across it, so a few points nearby move almost like a rigid body."""
     path, _ = press("puck", 0.005)
@@ -163,7 +166,7 @@ def test_slip_is_unknown_after_too_few_points_were_left_to_compare_with():
     """What moves together from then on may stick or slide."""
     wide, _ = press("puck", 0.005)
     narrow, _ = press("sphere", 0.001)
-    eyes, still = Eyes(1000), Motion(np.zeros(3))
+    eyes, still = Eyes(), Motion(np.zeros(3))
 
     def found(path, seed):
         frame = eyes.see(next(iter(path.along([still]))), seed)

@@ -151,6 +151,7 @@ def test_colour_that_contradicts_depth_is_not_used_and_told():
     assert warning.startswith("colour contradicts depth in 1 frame,")
 
 
+@pytest.mark.long  # in short: slower, above
 def test_fast_colour_of_another_moment_hardly_moves_the_force():
     """Most of it is noise of the flow then, by the shape that depth alone has."""
     now, later = stuck("puck", 0.004, 0.0, 0.0), stuck("puck", 0.004, 0.002, 0.0)
@@ -188,6 +189,7 @@ def test_flow_that_is_less_precise_than_it_says_loses_no_frame():
         assert error < 0.05 * np.linalg.norm(truth.force_n)
 
 
+@pytest.mark.long  # in short: of the puck, above
 def test_frames_of_the_real_press_are_solved_alone_as_in_order(punyo_press_colour):
     """Their flow is some fifteen times less precise than it says."""
     with Recording(punyo_press_colour) as press:

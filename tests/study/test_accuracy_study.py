@@ -117,6 +117,7 @@ def test_a_simulation_that_takes_too_long_is_left_out_and_named(sensor):
     assert "sphere at 24 %: SolveError: no answer within 0 s" in found.omitted[0]
 
 
+@pytest.mark.long  # in short: in test_linear_on_rubber.py and test_rubber_estimator.py
 def test_on_rubber_the_exact_estimator_is_right_and_the_linear_one_is_not(sensor):
     grid = Grid(
         specimens=("dome λ 1.2",),

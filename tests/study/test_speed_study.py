@@ -50,6 +50,7 @@ def test_both_membranes_are_measured_in_contact(sensor):
     assert "contact, exact membrane" in report_of([exact, linear]).to_text()
 
 
+@pytest.mark.long  # in short: in test_accuracy_study.py
 def test_a_run_that_breaks_says_why(sensor):
     found = speed_study(sensor, [Run("stream", Setup("magic"), frames=1)]).run()
     assert not found.rows

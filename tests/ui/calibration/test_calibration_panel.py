@@ -375,6 +375,7 @@ def test_another_inflation_level_is_added_and_undone(bench, tmp_path, monkeypatc
     assert bench.found.pixels.line is None
 
 
+@pytest.mark.long  # in short: tests/calibration/test_levels.py
 def test_known_press_is_predicted_and_compared(drive, sensor):
     """Contact-free frames and one pressed frame of the built-in press, whose pose is known."""
     frame, whole = 18, default_press(sensor)

@@ -63,6 +63,7 @@ def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor,
     assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
+@pytest.mark.long
 def test_a_saved_sensor_is_used_by_its_file_and_of_it_nothing_is_asked(
     drive, folder, tmp_path, monkeypatch
 ):
@@ -87,6 +88,7 @@ def test_a_saved_sensor_is_used_by_its_file_and_of_it_nothing_is_asked(
     bench.wait(lambda: bench.state.facts.title == "other.mcap")
 
 
+@pytest.mark.long  # in short: below
 def test_identification_survives_close_and_another_recording_asks_to_save_it(
     drive, folder, monkeypatch
 ):

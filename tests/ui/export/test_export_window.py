@@ -71,6 +71,7 @@ def bench(drive, monkeypatch):
     made.release()
 
 
+@pytest.mark.long  # in short: in tests/ui/shear, below without colour
 def test_table_has_the_forces_of_the_window_also_with_colour(drive, monkeypatch, tmp_path):
     pytest.importorskip("cv2")
     press, sensor = write_texture_press(tmp_path, {})
@@ -222,6 +223,7 @@ def test_video_contains_each_readable_frame_of_the_range_with_its_caption(
     assert not list(empty.iterdir())
 
 
+@pytest.mark.long  # in short: in test_cold_solves.py
 def test_video_shows_the_same_as_the_paused_window(drive, monkeypatch, tmp_path):
     """Each frame as a pipeline finds it that has seen no other."""
     drawn, sensor = list[tuple[int, float]](), small_sensor()

@@ -4,6 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from fakes import FRAMES, DentSource, record, small_sensor
 from live_bench import connected_bench, sensor_file
 from PySide6.QtCore import Qt
@@ -57,6 +58,7 @@ def test_gas_zero_is_renewed_on_request_and_compared_with_another_sensor_file(op
         ) == warned
 
 
+@pytest.mark.long  # in short: in test_assembler.py, test_pressure_zero.py
 def test_one_warning_each_of_gas_pressure_and_images_that_never_change_and_of_drift(open_bench):
     live = open_bench()
     dent = DentSource(small_sensor())

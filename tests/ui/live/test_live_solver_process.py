@@ -80,6 +80,7 @@ def test_cancelled_wait_does_not_count_as_a_paused_source(sensor):
     solver.close()
 
 
+@pytest.mark.long  # in short: tests/processes
 def test_killed_solver_process_is_reported_and_others_end_with_the_window(open_bench):
     bench, port = open_bench(), free_port()
     with robot(port):

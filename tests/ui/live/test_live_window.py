@@ -4,6 +4,7 @@ import threading
 import time
 
 import numpy as np
+import pytest
 from live_bench import SYNTHETIC, connected_bench, record_dents, sensor_file
 from PySide6.QtCore import QPoint, QRect, Qt
 from PySide6.QtWidgets import QAbstractButton
@@ -50,6 +51,7 @@ def test_live_frames_are_shown_frozen_and_resumed(open_bench):
     assert "connect again" in box.message.text()
 
 
+@pytest.mark.long  # in short: in test_live_links.py
 def test_badge_of_each_kind_of_source(open_bench):
     """In the bar and the window title, for each kind of source and state."""
     bench = open_bench()
@@ -146,6 +148,7 @@ def check_buttons(window, *bars):
             assert button.visibleRegion().boundingRect().size() == button.size(), button.text()
 
 
+@pytest.mark.long
 def test_window_with_live_bar_fits_a_small_screen(open_bench):
     live = connected_bench(open_bench)
     # buttons in a narrow view, of 1024×700 pixels at 150 %

@@ -55,7 +55,7 @@ def assert_shown(driver, before):
     assert share_that_differs(seen[-1], driver.pixels()) < 1e-3
 
 
-@pytest.mark.parametrize("quality", [FAST, SMOOTH], ids=NAMES)
+@pytest.mark.parametrize("quality", [FAST, pytest.param(SMOOTH, marks=pytest.mark.long)], ids=NAMES)
 def test_every_frame_reaches_the_screen_and_closed_popups_leave_no_trace(drive, quality):
     """With direct swap, and through Qt."""
     driver = with_points(drive(quality=quality))
@@ -126,6 +126,7 @@ def same(a, b):
     return share_that_differs(a, b) < 1e-3
 
 
+@pytest.mark.long  # in short: below
 def test_native_view_and_qt_panels_stay_consistent(drive):
     driver = with_points(drive())
     swapped: list[int] = []
