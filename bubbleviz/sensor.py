@@ -310,7 +310,7 @@ def contradiction(sensor: Sensor) -> str:
         if not interval[0] <= value <= interval[1]:
             remedy = "correct the value or"
             if section == "camera":
-                remedy = "forces may be wrong by twice the ratio: correct camera info or rim, and"
+                remedy = "correct the camera info, or the rim in the initial file, and"
             return (
                 f"{value_name} = {value:g} in the sensor file is outside the interval of its "
                 f"calibration, {interval[0]:g} to {interval[1]:g}; {remedy} identify the sensor "

@@ -123,8 +123,7 @@ def export_frames(
     """Compute what the plan's files need, and the products `besides`, and write the files.
 
     Give a pipeline of its own, as it is warm-started from frame to frame. Zeros that are not given
-    are searched. Nothing is written if an
-    InputError or `Cancelled` is raised.
+    are searched. Nothing is written if an InputError or `Cancelled` is raised.
     """
     with whole_file(plan.out, overwrite=plan.overwrite) as temporary:
         if plan.is_folder:

@@ -34,10 +34,10 @@ class FrameWarnings:
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._statuses: Counter[str] = Counter()
-        # frames with contact, and those without after the first that moved; of both, the ones
-        # whose image contradicts its known errors
-        self._moved, self._later, self._later_moved = 0, 0, 0
-        self._first_moved_s = math.inf
+        # frames with contact whose image contradicts its known errors, and the time of the first;
+        # times of frames without contact, and whether theirs does
+        self._moved, self._first_moved_s = 0, math.inf
+        self._free: deque[tuple[float, bool]] = deque(maxlen=_DRIFT_IMAGES)
         self._by_depth_only = 0  # frames in which colour contradicts depth
         self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
 
@@ -57,8 +57,8 @@ class FrameWarnings:
             if estimate.status == "ok" and moved:
                 self._moved += 1
                 self._first_moved_s = min(self._first_moved_s, time_s)
-            later = estimate.status == "no_contact" and time_s >= self._first_moved_s
-            self._later, self._later_moved = self._later + later, self._later_moved + later * moved
+            if estimate.status == "no_contact":
+                self._free.append((time_s, moved))
         if estimate.seen_share < 1.0:
             self._partly_seen += 1
             self._least_seen = min(self._least_seen, estimate.seen_share)
@@ -75,16 +75,18 @@ class FrameWarnings:
         return {subject: text for subject, text in self._found(where) if text}
 
     def _found(self, where: str) -> Iterator[tuple[str, str]]:
-        yield "sensor", self._sensor_warning(where)
+        yield "file", self._pipeline.model.contradiction
+        yield "gas", self._gas_warning(where)
+        yield "camera", _camera_warning(self._pipeline, where)
         misfits = self._statuses["implausible"]
         if misfits and misfits == self._statuses.total():
             yield "fit", NO_FRAME_FITS
         elif misfits and not self._statuses["no_contact"]:
             yield (
-                "fit",
+                "unconfirmed",
                 f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free "
-                "frame confirms the file, so forces in the other frames may be wrong: run "
-                "bubbleviz check with contact-free frames",
+                "frame confirms the file, so forces in the other frames may be wrong: check the "
+                "file against contact-free frames (bubbleviz check)",
             )
         if (noise := self._zeros.image.noise) > UPPER_95:  # which weakens the evidence of contact
             yield (
@@ -93,7 +95,7 @@ class FrameWarnings:
                 "sensor file (it is larger, or correlated), so light contacts may not be found: "
                 "identify the sensor again, or turn off spatial filters of the camera",
             )
-        yield "drift", self._drift_warning()
+        yield "depth", self._contact_warning() or self._drift_warning()
         friction = self._pipeline.options.friction
         frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
         if frictionless and friction and self._pipeline.options.friction_given:
@@ -108,7 +110,7 @@ class FrameWarnings:
                 f"friction in {count_of(self._frames_over, 'frame')} is at least "
                 f"{self._most_friction:.2g} of the normal force, more than the expected "
                 f"coefficient of {friction:.2g}, so the estimate of "
-                "friction is too small: repeat with a larger --friction",
+                "friction is too small: expect more (--friction)",
             )
         if self._partly_seen:
             yield (
@@ -122,54 +124,52 @@ class FrameWarnings:
             yield (
                 "colour",
                 f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
-                "solved by depth alone; their stamps may be of different moments. Give "
-                "--colour-delay",
+                "solved by depth alone; their stamps may be of different moments. Give the delay "
+                "of colour (--colour-delay)",
             )
+
+    def _contact_warning(self) -> str:
+        """Warning if more images with contact than by chance contradict those without; else empty.
+
+        A difference that ends with the contact is not drift of the camera.
+        """
+        if self._moved <= max(1, _CHANCE * self._statuses["ok"]):
+            return ""
+        causes, remedies = list[str](), list[str]()
+        later = [moved for time_s, moved in self._free if time_s >= self._first_moved_s]
+        if not later or sum(later) > _CHANCE * len(later):
+            causes.append("the camera drifted")
+            remedies.append("let the camera warm up, check that it is fixed")
+        gas = self._zeros.gas
+        if self._measured_pa is None or (gas is not None and gas.frozen):
+            causes.append("the gas pressure, which is not measured, does not follow the gas law")
+            remedies.append("record the gas pressure, check chamber_volume_m3")
+        else:
+            causes.append("the measured gas pressure is wrong or late")
+            remedies.append("check values and stamps of the gas pressure")
+        remedy = ", ".join(remedies)
+        return (
+            f"depth in {count_of(self._moved, 'frame')} with contact contradicts depth in the "
+            f"contact-free ones: {', '.join(causes)}, or shape or rubber of the membrane "
+            "differ from the sensor file; forces in these frames are less certain. "
+            f"{remedy[0].upper()}{remedy[1:]}, or identify the sensor again"
+        )
 
     def _drift_warning(self) -> str:
-        """Warning if depth images drift; else empty.
-
-        Either by more than three standard deviations since the calibration, or, since the images
-        without contact, in more images with contact than chance explains. A difference that ends
-        with the contact is not drift of the camera.
-        """
+        """Warning if depth drifted by more than three σ since the calibration; else empty."""
         if not self._image_errors:
             return ""
-        if self._moved > max(1, _CHANCE * self._statuses["ok"]):
-            causes, remedies = list[str](), list[str]()
-            if not self._later or self._later_moved > _CHANCE * self._later:
-                causes.append("the camera drifted")
-                remedies.append("let the camera warm up, check that it is fixed")
-            gas = self._zeros.gas
-            if self._measured_pa is None or (gas is not None and gas.frozen):
-                causes.append(
-                    "the gas pressure, which is not measured, does not follow the gas law"
-                )
-                remedies.append("record the gas pressure, check chamber_volume_m3")
-            else:
-                causes.append("the measured gas pressure is wrong or late")
-                remedies.append("check values and stamps of the gas pressure")
-            remedy = ", ".join(remedies)
-            return (
-                f"depth in {count_of(self._moved, 'frame')} with contact contradicts depth in the "
-                f"contact-free ones: {', '.join(causes)}, or shape or rubber of the membrane "
-                "differ from the sensor file; forces in these frames are less certain. "
-                f"{remedy[0].upper()}{remedy[1:]}, or identify the sensor again"
-            )
         errors, measured = np.median(self._image_errors, axis=0), self._measured_pa is not None
         return drift_warning(errors, self._pipeline, gas_measured=measured)
 
-    def _sensor_warning(self, where: str) -> str:
-        """Warning if the sensor file contradicts itself, gas pressure, or camera; else empty."""
+    def _gas_warning(self, where: str) -> str:
+        """Warning if the gas pressure contradicts the sensor file, or never changes; else empty."""
         known_pa, zero = self._pipeline.model.gas.P0, self._zeros.gas
         if zero is not None and zero.frozen:
-            gas = zero.frozen_warning(where) if self._statuses["ok"] else ""
-        elif zero is None or zero.rest_pa is None:
-            gas = gas_warning(self._measured_pa, known_pa, f"in the {where}")
-        else:
-            gas = gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
-        file = self._pipeline.model.contradiction
-        return "; ".join(filter(None, (file, gas, _camera_warning(self._pipeline, where))))
+            return zero.frozen_warning(where) if self._statuses["ok"] else ""
+        if zero is None or zero.rest_pa is None:
+            return gas_warning(self._measured_pa, known_pa, f"in the {where}")
+        return gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
 
 
 def _least_friction(result: Result) -> float:

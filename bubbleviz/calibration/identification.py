@@ -149,17 +149,19 @@ class Identification:
     def focal_by_rim_px(self) -> dict[str, Quantity]:
         """`fx` and `fy`, pixels, at which the rim has its size before the first identification.
 
-        Empty where the edge of the cloud does not determine them.
+        The rim of an identified file was measured with its focal lengths, so what was found then is
+        kept. Empty where the edge of the cloud did not determine them.
         """
-        camera, calibration = self.given.camera, self.given.calibration
-        found = dict(self.surfaces.focal_by_rim_px)
-        for name, of in found.items():
-            before = None if calibration is None else getattr(calibration, f"{name}_interval")
-            if before is not None:  # the rim of the file was measured with the file's focal length
-                earlier = Quantity(0.5 * sum(before), *before).times(1.0 / getattr(camera, name))
-                sigma = float(np.hypot(of.sigma * earlier.value, of.value * earlier.sigma))
-                found[name] = Quantity.normal(of.value * earlier.value, sigma, of.source)
-        return found
+        used, calibration = self.samples.camera.intrinsics, self.given.calibration
+        if calibration is None:
+            return dict(self.surfaces.focal_by_rim_px)
+        kept = {"fx": calibration.fx_interval, "fy": calibration.fy_interval}
+        same_size = used.size == self.given.camera.size
+        return {
+            name: Quantity(0.5 * sum(ends), *ends, "size of the rim")
+            for name, ends in kept.items()
+            if ends is not None and same_size
+        }
 
     @property
     def focal_contradicts_rim(self) -> bool:

@@ -48,8 +48,8 @@ def grade(found: Identification) -> Grade:
     tension = found.tension
     relative = _relative(tension)
     force = _relative(found.reference_force)
-    contradictions = found.contradicts_file, found.levels_contradict, found.focal_contradicts_rim
-    if relative > _USABLE or force > _USABLE_FORCE or any(contradictions):
+    contradictory = found.contradicts_file or found.levels_contradict
+    if relative > _USABLE or force > _USABLE_FORCE or contradictory:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
 
@@ -96,13 +96,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
         )
     if found.focal_contradicts_rim:
         used = found.samples.camera.intrinsics
-        texts = [each.texts(1) for each in found.focal_by_rim_px.values()]
-        fx, fy = (f"{value} ({low} to {high})" for value, low, high in texts)
+        texts = (
+            f"{name} {of.value:.1f} ({of.low:.1f} to {of.high:.1f}) instead of"
+            f" {getattr(used, name):.1f}"
+            for name, of in found.focal_by_rim_px.items()
+        )
         out.append(
-            "The rim in the image has the size in the sensor file at focal lengths of"
-            f" {fx} and {fy} pixels, not {used.fx:.1f} and {used.fy:.1f}: every force may be wrong"
-            " by twice that ratio. Correct the camera info, the scale of depth, or the rim in the"
-            " sensor file."
+            "The rim in the image has its size in the initial sensor file at focal lengths, pixels,"
+            f" of {', '.join(texts)}. A wrong focal length makes every force wrong by twice its"
+            " percentage: correct the camera info, the scale of depth, or the rim in the initial"
+            " sensor file (to 0.5 mm), and identify from that file."
         )
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
@@ -189,7 +192,8 @@ def parameters(found: Identification, pressure: PressureText = pascals) -> list[
     chamber_text = chamber
     if vented:
         chamber_text = (
-            "give the deviation of your pressure sensor, if it is smaller (--level-sigma)"
+            "use a pressure sensor that differs less between recordings, and tell by how much"
+            " (--level-sigma)"
         )
     part = max(found.tension_parts, key=lambda name: found.tension_parts[name])
     of_tension = _OF_TENSION[part].format(chamber=chamber_text)

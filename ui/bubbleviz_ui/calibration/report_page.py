@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -63,7 +64,7 @@ class ReportPage(Page):
             lines = [*advice(found, pressure), *map(_remark, parameters(found, pressure))]
         text = "\n".join(f"• {line}" for line in lines)
         for option, page in _PAGES.items():
-            text = text.replace(option, f"step {page.name}")
+            text = re.sub(rf"{option}(?![\w-])", f"step {page.name}", text)
         self.advice.setText(text)
         old = answer.compared_with
         self.compared.setText(f"Before: {old.name}" if old is not None else "")

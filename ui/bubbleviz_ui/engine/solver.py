@@ -199,7 +199,7 @@ ANALYSIS_SLICE_S = 0.03
 """How long the analysis of all frames may delay a requested frame."""
 REPORTED_ZERO_PA = 50.0
 """Smallest reported gas pressure offset of a recording: 1 % of a typical gauge pressure."""
-MISFITS = frozenset({"drift", "fit"})
+MISFITS = frozenset({"depth", "fit", "unconfirmed"})
 """Subjects of warnings that the sensor file does not fit."""
 PATCHED: frozenset[Product] = frozenset({"estimate", "patch"})
 """Products that follow from a cached estimate at another κ."""
