@@ -51,11 +51,8 @@ def test_gas_zero_is_renewed_on_request_and_compared_with_another_sensor_file(op
         for _ in range(2):  # the second time, the warnings of the first were shown
             with live.bot.waitSignal(live.window.controller.client.frames_counted.timeout):
                 pass
-        assert live.window.message.isVisible() == warned
-        assert (
-            "of 103.9 kPa (absolute) without contact in the source, but 111.9 kPa (atmospheric"
-            in live.message_text
-        ) == warned
+        text = "of 103.9 kPa (absolute) without contact in the source, but 111.9 kPa (atmospheric"
+        assert any(text in each.text for each in live.window.messages.all) == warned
 
 
 @pytest.mark.long  # in short: in test_assembler.py, test_pressure_zero.py

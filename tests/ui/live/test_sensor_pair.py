@@ -161,6 +161,16 @@ def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(ope
     assert of_the_other(bench) == 0
 
 
+def test_disconnected_sensor_is_not_opened_again_with_another_sensor_file(open_bench):
+    bench = paired(open_bench)
+    bench.click(bench.window.live.leave)
+    assert bench.second is None
+    bench.window.files.open(Path(sensor_file(bench.folder, "softer", gauge_pressure_pa=1500.0)))
+    bench.wait(lambda: "softer.toml" in bench.window.windowTitle())
+    bench.wait_for_redraw()
+    assert bench.second is None and not drawing(bench).GetVisibility()
+
+
 @pytest.mark.long
 def test_recording_of_both_sensors_and_return_to_one(open_bench):
     bench = paired(open_bench)
@@ -306,6 +316,10 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     bench.wait(lambda: bench.state.facts.title == "right.mcap")
     assert shown_pair(bench, 3) == (3, 5)
     assert named_sensors(bench) == {"right"} and not clipped_texts(bench.window.status)
+    # reading the files again keeps both
+    bench.trigger("File › Reload")
+    bench.wait(lambda: not bench.window.controller.opening.busy)
+    assert shown_pair(bench, 4) == (4, 6) and drawing(bench).GetVisibility()
     # playback moves both
     bench.state.seek(0)
     bench.state.set_playing(True)

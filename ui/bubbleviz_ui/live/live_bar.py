@@ -234,7 +234,8 @@ class LiveBar(QFrame):
 
     def _choose(self, number: int) -> None:
         self._group.choose(number)
-        self.show_all()  # a click has changed the button
+        for k, button in enumerate(self.sensors):  # the click has changed one
+            button.setChecked(k == self._controller.chosen)
 
     def _show_untrusted(self) -> None:
         """Show untrusted results on the buttons, as the readout is only of the selected sensor."""
