@@ -120,7 +120,12 @@ def test_the_right_focal_length_is_not_doubted_and_a_wrong_one_not_forgotten(tmp
     right = bv.identify(frames, sensor, nodes=300, held_press=False)
     numbers = right.save(tmp_path / "right.toml")
     assert not told(numbers["verdict"]["advice"])
-    assert bv.load_sensor(tmp_path / "right.toml").calibration.fx_interval is not None
+    first = bv.load_sensor(tmp_path / "right.toml").calibration.fx_interval
+    assert first is not None
+    # its rim was measured with its focal length, and tells nothing more
+    same = bv.identify(frames, tmp_path / "right.toml", nodes=300, held_press=False)
+    same.save(tmp_path / "same.toml")
+    assert bv.load_sensor(tmp_path / "same.toml").calibration.fx_interval == first
     wrong, _ = dome(1.05)
     bv.identify(wrong, sensor, nodes=300, held_press=False).save(tmp_path / "wrong.toml")
     again = bv.identify(wrong, tmp_path / "wrong.toml", nodes=300, held_press=False)
