@@ -254,6 +254,7 @@ def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, senso
 def test_a_recording_opened_by_a_function_is_closed_by_it(tmp_path, sensor, call):
     heights = [*20 * (0.060,), *HEIGHTS]
     path = record(tmp_path / "press.mcap", small_source(sensor, heights))
+    gc.collect()  # what other tests left
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         with suppress(bv.InputError):

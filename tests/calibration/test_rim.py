@@ -109,7 +109,8 @@ def test_a_wrong_focal_length_is_told_by_identify_check_and_estimate(focal, tmp_
             writer.write(frames[k])
     check = bv.check(tmp_path / "rest.mcap", tmp_path / "wrong.toml")
     assert check.verdict == "fits"
-    run = bv.estimate(bv.open(tmp_path / "rest.mcap")[:3], tmp_path / "wrong.toml")
+    with bv.open(tmp_path / "rest.mcap", "0:3") as some:
+        run = bv.estimate(some, tmp_path / "wrong.toml")
     for warning in (check.warning, run.warning):
         assert f"fx = {focal * true:g} in the sensor file" in warning
         assert "correct the camera info" in warning
