@@ -107,7 +107,7 @@ class _RimFit:
                 return None
             step = np.linalg.solve(normal, J.T @ (weights * left))
             size = float(np.abs(step).max())
-            values = values - step * min(1.0, _LARGEST_STEP / size)
+            values = values - step * min(1.0, _LARGEST_STEP / max(size, _TOLERANCE))
             if size < _TOLERANCE:
                 single = weights @ left**2 / freedom * (stdtrit(freedom, 0.975) / HALF_95) ** 2
                 variance = single * weights.sum() * np.diag(np.linalg.inv(normal))
