@@ -168,7 +168,8 @@ def test_disconnected_sensor_is_not_opened_again_with_another_sensor_file(open_b
     bench.window.files.open(Path(sensor_file(bench.folder, "softer", gauge_pressure_pa=1500.0)))
     bench.wait(lambda: "softer.toml" in bench.window.windowTitle())
     bench.wait_for_redraw()
-    assert bench.second is None and not drawing(bench).GetVisibility()
+    assert bench.second is None and not bench.window.live.sensors
+    assert not drawing(bench).GetVisibility()
 
 
 @pytest.mark.long
