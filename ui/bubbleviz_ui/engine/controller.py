@@ -126,7 +126,7 @@ what was shown before."""
 class Controller(QObject):
     """Requests what the visible layers and panels need of the frame at the cursor."""
 
-    replaced = Signal()  # A source, or its sensor, by the one that is `opened` then
+    replaced = Signal()  # A source, or its sensor, by the one that was just `opened`
     opened = Signal(object)  # `Opened`: another source or sensor, or one that was in the background
     shown = Signal(object)  # `Result` to draw
     group_changed = Signal()  # Sensors were added or removed, or another one is chosen
@@ -453,8 +453,7 @@ class Controller(QObject):
             for client, sensor in zip(self.clients[1:], group[1:], strict=True):
                 request = replace(first, source=sensor.source, open_sensor=sensor.open_sensor)
                 client.open(request)
-        self.replaced.emit()
-        self._present(playing=opened.request.playing)
+        self._present(playing=opened.request.playing, replaces=True)
         self.opening.finish(opened.request)
         settings, requested = self.state.settings, opened.request.demand
         if not requested.covers(Demand.of(settings)):
@@ -462,7 +461,7 @@ class Controller(QObject):
         elif requested.patch_rule != settings.patch_rule:
             self.client.request_patch()
 
-    def _present(self, *, playing: bool) -> None:
+    def _present(self, *, playing: bool, replaces: bool = False) -> None:
         """Show the newly opened source, or the other sensor."""
         client = self.client
         opened, facts, result = client.opened, client.facts, client.result
@@ -473,6 +472,8 @@ class Controller(QObject):
         self.player.reset_to(result.frame.index)
         client.dropped = 0
         self.opened.emit(opened)
+        if replaces:
+            self.replaced.emit()
         self.state.set_playing(False)
         self.state.open(facts, result.frame.index, playing=playing, history=client.history)
         self._show(result)
