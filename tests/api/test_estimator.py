@@ -50,6 +50,7 @@ def test_arrays_and_frames_give_the_same_result_as_the_recording(frames, sensor,
     assert_same([estimator.update(frame) for frame in frames], run)
 
 
+@pytest.mark.long  # in short: of arrays, above
 def test_frames_of_the_real_press_give_the_same_result_as_the_recording(punyo_press):
     """Its camera info is not quite the sensor file's."""
     press = [bv.open(punyo_press)[k] for k in range(76, 80)]  # alone, so without zeros

@@ -78,7 +78,17 @@ BOMBS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", [*BOMBS, "mcap messages", "bag lz4"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "mcap zstd",
+        "bag lz4",
+        *(
+            pytest.param(each, marks=pytest.mark.long)
+            for each in (*list(BOMBS)[1:], "mcap messages")
+        ),
+    ],
+)
 def test_recording_of_which_a_message_is_300_mib_of_zeros(tmp_path, kind):
     payloads, path = [image_message(k, kind=kind) for k in range(2)], tmp_path / "bomb.mcap"
     payloads[1] += bytes(300 << 20)

@@ -24,7 +24,7 @@ def film(contact, ball):
     return area, volume - (np.pi * sag**2 * (ball - sag / 3.0) if sag else 0.0)
 
 
-@pytest.mark.parametrize("ball", [np.inf, BALL])
+@pytest.mark.parametrize("ball", [pytest.param(np.inf, marks=pytest.mark.long), BALL])
 def test_work_of_the_force_equals_energy_of_film_and_gas(ball):
     """F dδ = γ0 dS − P_gauge dV along the path of equilibria."""
     depth, step = 0.010, 1e-4

@@ -13,9 +13,10 @@ from bubbleviz.output import pose_row, read_poses, write_poses
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.result import Pose, Result
-from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor import load_sensor, save_sensor
 from tests.membrane.domes import pose as upright
 from tests.program import output_of, refusal, run
+from tests.small_press import changed
 
 PRESET = "pico_flexx_75mm"
 HEADER = (
@@ -73,7 +74,9 @@ def test_a_search_lists_the_other_poses_that_fit_as_well(tmp_path):
     mesh, rows = tmp_path / "box.stl", ["time_s,x_m,y_m,z_m,qx,qy,qz,qw", "0,0,0,0.062,0,0,0,1"]
     trimesh.creation.box((0.024, 0.018, 0.030)).export(mesh)
     (tmp_path / "path.csv").write_text("\n".join(rows))
-    given = "--sensor", PRESET, "--object", mesh, "--out"
+    small = changed(load_sensor(PRESET), membrane={"nodes": 400})
+    save_sensor(small, tmp_path / "small.toml")
+    given = "--sensor", tmp_path / "small.toml", "--object", mesh, "--out"
     output_of("simulate", *given, tmp_path / "rec.mcap", "--path", tmp_path / "path.csv")
     command = "pose", tmp_path / "rec.mcap", *given, tmp_path / "poses.csv", "--overwrite"
     told = run(*command).stderr
