@@ -31,17 +31,19 @@ HEIGHTS = (0.060, 0.038, 0.0375, 0.037)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("pose")
+    small = changed(load_sensor(PRESET), membrane={"nodes": 400})
+    save_sensor(small, folder / "small.toml")
     lines = [f"{0.1 * k},0.004,0.002,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
     (folder / "path.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,qx,qy,qz,qw", *lines]))
     output_of(
-        "simulate", "--sensor", PRESET, "--object", "frustum", "--path", folder / "path.csv",
+        "simulate", "--sensor", folder / "small.toml", "--object", "frustum", "--path", folder / "path.csv",
         "--noise-relative", "0.005", "--out", folder / "rec.mcap", "--truth", folder / "truth.npz",
     )  # fmt: skip
     return folder
 
 
 def command(folder, out, *more, obj="frustum"):
-    words = ("--sensor", PRESET, "--object", obj, "--out", folder / out, *more)
+    words = ("--sensor", folder / "small.toml", "--object", obj, "--out", folder / out, *more)
     return "pose", folder / "rec.mcap", *words
 
 
@@ -69,14 +71,12 @@ def test_poses_equal_those_of_the_simulation(folder, tracked):
     assert summary["median_fitness"] > 0.8
 
 
-def test_a_search_lists_the_other_poses_that_fit_as_well(tmp_path):
+def test_a_search_lists_the_other_poses_that_fit_as_well(folder, tmp_path):
     """A cuboid touches lightly; any of them can be given as the first one."""
     mesh, rows = tmp_path / "box.stl", ["time_s,x_m,y_m,z_m,qx,qy,qz,qw", "0,0,0,0.062,0,0,0,1"]
     trimesh.creation.box((0.024, 0.018, 0.030)).export(mesh)
     (tmp_path / "path.csv").write_text("\n".join(rows))
-    small = changed(load_sensor(PRESET), membrane={"nodes": 400})
-    save_sensor(small, tmp_path / "small.toml")
-    given = "--sensor", tmp_path / "small.toml", "--object", mesh, "--out"
+    given = "--sensor", folder / "small.toml", "--object", mesh, "--out"
     output_of("simulate", *given, tmp_path / "rec.mcap", "--path", tmp_path / "path.csv")
     command = "pose", tmp_path / "rec.mcap", *given, tmp_path / "poses.csv", "--overwrite"
     told = run(*command).stderr
