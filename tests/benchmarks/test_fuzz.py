@@ -2,6 +2,8 @@
 
 import os
 
+import pytest
+
 from benchmarks.fuzz import KINDS, fuzz, to_text
 
 INPUTS = 270 if "TEST_ALL" in os.environ else 4 * len(KINDS)
@@ -22,6 +24,7 @@ def endless(corpus, folder, rng):
         pass
 
 
+@pytest.mark.long
 def test_fuzzing_finds_a_planted_fault(tmp_path, monkeypatch):
     """One reader raises another error than InputError, one never returns."""
     monkeypatch.setattr("benchmarks.fuzz.TIMEOUT_S", 1.0)

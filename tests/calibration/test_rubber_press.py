@@ -213,7 +213,8 @@ def test_press_without_information(pressed):
     assert kept.sensor == found.sensor
 
 
-@pytest.mark.parametrize("stretch", [1.2, pytest.param(1.3, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("stretch", [1.2, 1.3])
 def test_interval_of_an_oval_sheet_stretched_equally(stretch):
     """Its unequal tension is due to the inflation over an oval rim, of which a press tells little.
 

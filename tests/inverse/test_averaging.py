@@ -101,6 +101,7 @@ def test_an_object_at_rest_is_averaged_over_five_frames_on_either_side(noise):
     assert np.mean(found == most) > 0.7  # nine of ten; fewer by chance
 
 
+@pytest.mark.long  # in short: its images, below
 def test_the_force_of_an_object_at_rest_scatters_less():
     frames, force_n = noisy((6.0,) * 19), between(presses()[1], 6.0)
     inner = slice(5, -5)

@@ -39,7 +39,7 @@ def noisy(request):
         pytest.param("right", 0.009, BALL, -0.2, marks=pytest.mark.long),
         ("top", 0.006, BALL, -0.7),  # a sliver is seen
         pytest.param("top", 0.006, np.inf, 0.2, marks=pytest.mark.long),
-        ("bottom", 0.006, np.inf, 0.15),
+        pytest.param("bottom", 0.006, np.inf, 0.15, marks=pytest.mark.long),
     ],
 )
 def test_force_of_a_contact_cut_off_by_the_edge_is_in_its_interval(noisy, side, depth, ball, cut):

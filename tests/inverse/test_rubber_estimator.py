@@ -179,7 +179,9 @@ def test_sharp_edged_rod_off_the_axis():
     assert error(estimate, force) < 0.03
 
 
-@pytest.mark.parametrize("change", [{"nodes": 2000}, {"slack": 3 * RIM_SLACK_M}])
+@pytest.mark.parametrize(
+    "change", [pytest.param({"nodes": 2000}, marks=pytest.mark.long), {"slack": 3 * RIM_SLACK_M}]
+)
 def test_invariance_to_irrelevant_changes(change):
     mesh, contact = pressed("sphere", 0.007)
     image = depth_image_of(mesh, contact.displacement_3d_m, NOISE_M)
@@ -268,6 +270,7 @@ def test_sigma_of_a_light_touch_includes_the_uncertainty_of_the_material(measure
     assert by_material == pytest.approx(abs(b.force_n[2] - a.force_n[2]), rel=0.3)
 
 
+@pytest.mark.long  # in short: of a light touch, above
 def test_sigma_includes_the_uncertainty_of_the_material():
     """Against a second solve with the other tension, and the scatter of noisy frames.
 

@@ -36,7 +36,8 @@ def folder(tmp_path_factory):
     lines = [f"{0.1 * k},0.004,0.002,{z},0,0,0,1" for k, z in enumerate(HEIGHTS)]
     (folder / "path.csv").write_text("\n".join(["time_s,x_m,y_m,z_m,qx,qy,qz,qw", *lines]))
     output_of(
-        "simulate", "--sensor", folder / "small.toml", "--object", "frustum", "--path", folder / "path.csv",
+        "simulate", "--sensor", folder / "small.toml", "--object", "frustum",
+        "--path", folder / "path.csv",
         "--noise-relative", "0.005", "--out", folder / "rec.mcap", "--truth", folder / "truth.npz",
     )  # fmt: skip
     return folder

@@ -156,6 +156,7 @@ def divide():
     return 1 // 0
 
 
+@pytest.mark.long  # in short: tests/processes
 def test_a_worker_survives_what_it_calls():
     with WorkerProcess() as worker:
         assert worker.call(abs, -2, limit_s=60.0).value == 2

@@ -131,6 +131,7 @@ SERIES = {
 }
 
 
+@pytest.mark.long  # in short: tests/export
 def test_export_series_and_plots_and_cancelled_exports_leave_nothing(bench, tmp_path):
     first, last = 3, 6
     bench.state.set_range((first, last))

@@ -63,6 +63,7 @@ def second_membranes(driver):
     return [p for p in vtk_props(driver) if isinstance(p, vtkAssembly) and p.GetVisibility()]
 
 
+@pytest.mark.long  # in short: tests/api/test_compare.py
 def test_another_recording_or_sensor_file_is_overlaid_compared_and_drawn_beside(
     driver, choose, sensor, tmp_path
 ):
