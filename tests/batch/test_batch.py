@@ -316,7 +316,6 @@ def test_single_recording_as_input(recordings):
     assert find_recordings(recordings) == [recordings]
 
 
-@pytest.mark.long
 def test_depth_topic_is_that_of_every_recording(tmp_path, sensor):
     folder, bag = tmp_path / "in", BagMaker("mcap file")
     for k, frame in enumerate(small_source(sensor)):

@@ -78,7 +78,6 @@ def test_plugin_with_a_live_source():
     assert " N" in output_of(*words.split())
 
 
-@pytest.mark.long
 def test_a_source_that_waits_for_its_next_frame_can_be_stopped(lab):
     words = "watch --source lab:press.npy?rate=0.001 --sensor small.toml --duration 1"
     done = bubbleviz(lab, *words.split())  # the next frame comes in 1,000 s, after the time-out

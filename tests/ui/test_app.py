@@ -65,7 +65,6 @@ def png_size(path):
     return image.width(), image.height()
 
 
-@pytest.mark.long
 def test_screenshot_shows_the_whole_window(tmp_path):
     out = tmp_path / "frame.png"
     program = f"""

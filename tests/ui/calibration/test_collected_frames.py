@@ -83,7 +83,6 @@ def refusals(bench):
     return sum("at least 5" in message.text for message in bench.window.messages.all)
 
 
-@pytest.mark.long
 def test_collecting_again_replaces_the_frames(drive, camera):
     bench = Bench(drive(lambda _: camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect
@@ -125,7 +124,6 @@ def test_collecting_again_replaces_the_frames(drive, camera):
     assert "Outdated" not in panel.verdict.text()
 
 
-@pytest.mark.long
 def test_collected_frames_survive_close_and_reconnecting(drive):
     bench = Bench(drive(Camera, playing=True, live=True))
     panel, box = bench.panel, bench.panel.frames.collect

@@ -63,7 +63,6 @@ def test_unsaved_sensor_is_used_undone_and_saved_with_the_session(drive, sensor,
     assert other.pipeline.model.pixels is not None and not other.window.message.isVisible()
 
 
-@pytest.mark.long
 def test_a_saved_sensor_is_used_by_its_file_and_of_it_nothing_is_asked(
     drive, folder, tmp_path, monkeypatch
 ):

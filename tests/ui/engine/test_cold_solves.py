@@ -83,7 +83,6 @@ def test_result_is_the_same_however_a_frame_is_reached_and_of_the_present_settin
         driver.window.panels["threshold"].hide()
 
 
-@pytest.mark.long
 def test_a_force_that_the_next_pause_may_change_is_marked_and_its_pose_registered_once(drive):
     driver, marked = drive(frame=CONTACT - 3), []
     controller, label = driver.window.controller, driver.window.status.labels["force"]

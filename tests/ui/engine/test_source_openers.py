@@ -71,7 +71,6 @@ def says_iou(driver):
     return curve is not None and "IoU" in curve.label.text
 
 
-@pytest.mark.long
 def test_ground_truth_is_saved_in_the_session_and_markers_are_on_the_timeline(
     drive, sensor, files, tmp_path
 ):

@@ -148,7 +148,6 @@ def check_buttons(window, *bars):
             assert button.visibleRegion().boundingRect().size() == button.size(), button.text()
 
 
-@pytest.mark.long
 def test_window_with_live_bar_fits_a_small_screen(open_bench):
     live = connected_bench(open_bench)
     # buttons in a narrow view, of 1024×700 pixels at 150 %

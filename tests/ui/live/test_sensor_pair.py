@@ -209,7 +209,6 @@ def ends_kpa(bench):
     return bar.GetRange()[1], own.GetScalarRange()[1], membrane.GetScalarRange()[1]
 
 
-@pytest.mark.long
 def test_both_sensors_use_the_scale_of_the_colour_bar_and_untrusted_results_their_colour(
     open_bench,
 ):

@@ -137,7 +137,6 @@ def test_compared_outlines_belong_to_their_frame_and_a_setting_can_be_used(drive
     assert state.settings.kappa is None and state.settings.solver is None
 
 
-@pytest.mark.long
 def test_current_setting_measures_what_the_window_shows_with_its_friction(drive):
     driver = drive(frame=CONTACT)
     driver.show("compare")

@@ -192,7 +192,6 @@ def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive
     assert width <= right - left < 10 * width
 
 
-@pytest.mark.long
 def test_only_chosen_images_are_computed_and_less_often_during_playback(drive, monkeypatch):
     driver = drive(frame=CONTACT)
     counts = driver.pipeline.counts

@@ -369,7 +369,6 @@ def outlined(driver):
     return bool(white > 40), bool(green > 40)
 
 
-@pytest.mark.long
 def test_object_is_dropped_rejected_or_removed_with_its_fit_and_curves_fit_a_small_screen(
     bench, tmp_path
 ):

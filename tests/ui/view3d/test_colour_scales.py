@@ -103,7 +103,6 @@ def test_scale_grows_only_in_the_first_pass_of_playback(qtbot, new_window, senso
     assert ends == sorted(ends) and set(ends[first:]) == {ends[-1]}
 
 
-@pytest.mark.long
 def test_scale_is_the_same_in_all_frames_of_a_video_and_without_outliers(drive, sensor, tmp_path):
     # although the frames solved ahead have a smaller pressure
     deep = range(75, 80)
