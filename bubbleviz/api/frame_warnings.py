@@ -32,6 +32,7 @@ class FrameWarnings:
         self._pipeline, self._zeros = pipeline, zeros
         self._measured_pa: float | None = None
         self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
+        self._errors_known = False  # from frames without contact
         self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
         self._statuses: Counter[str] = Counter()
         # frames with contact whose image contradicts its known errors, and the time of the first;
@@ -53,6 +54,7 @@ class FrameWarnings:
             known = result.frame.image_errors is not None
             if known or estimate.status == "no_contact":  # else mixed up with the contact
                 self._image_errors.append(estimate.image_errors.mean)
+                self._errors_known = self._errors_known or known
             moved, time_s = camera_moved(result), result.frame.time_s
             if estimate.status == "ok" and moved:
                 self._moved += 1
@@ -157,7 +159,8 @@ class FrameWarnings:
 
     def _drift_warning(self) -> str:
         """Warning if depth drifted by more than three σ since the calibration; else empty."""
-        if not self._image_errors:
+        # one image alone may show an object too shallow to be found
+        if len(self._image_errors) < (1 if self._errors_known else 2):
             return ""
         errors, measured = np.median(self._image_errors, axis=0), self._measured_pa is not None
         return drift_warning(errors, self._pipeline, gas_measured=measured)

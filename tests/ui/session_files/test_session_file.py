@@ -117,7 +117,7 @@ def test_session_file_restores_elsewhere_with_or_without_its_recording(
     other = drive()
     other.window.files.open(theirs / "look.bubbleviz")
     check(other)
-    assert not other.window.message.isVisible()
+    assert not any("missing" in each.text for each in other.window.messages.all)
     assert other.state.settings.theme == "system"  # their own setting is kept
     # a missing file gives a message, and the rest is restored
     mine.window.session_saver.save_as(files / "alone.bubbleviz")
