@@ -45,7 +45,7 @@ def slips(name, depth_m, frames, sliding_beyond):
 )
 def test_slip_by_coulombs_law_until_all_of_the_patch_slides(name, depth_m, poses):
     """A part of it still seems rigid then, and would be taken for one that sticks."""
-    eyes, told, true, longest_m = Eyes(), [], [], []
+    eyes, told, true, longest_m = Eyes(1000), [], [], []
     for seed, (truth, share, slid_m) in enumerate(slides(name, depth_m, 0.5, poses)):
         told.append(eyes.pipeline.process(eyes.see(truth, seed), frozenset({"slip"})).slip)
         true.append(share)

@@ -318,6 +318,7 @@ def test_two_recordings_dropped_or_chosen_are_two_sensors_at_the_same_time(open_
     assert named_sensors(bench) == {"right"} and not clipped_texts(bench.window.status)
     # reading the files again keeps both
     bench.trigger("File › Reload")
+    bench.window.group.choose_next()  # has no effect before they are open
     bench.wait(lambda: not bench.window.controller.opening.busy)
     assert shown_pair(bench, 4) == (4, 6) and drawing(bench).GetVisibility()
     # playback moves both

@@ -256,8 +256,8 @@ class Controller(QObject):
         self.client.request_cold_solve()
 
     def choose(self, number: int) -> None:
-        """Show a sensor of the group in the panels."""
-        if self.clients[number] not in self.others:
+        """Show a sensor of the group in the panels, unless a source is being opened there."""
+        if self.opening.busy or self.clients[number] not in self.others:
             return
         playing, frozen = self.state.playing, self.state.frozen
         self._listen(on=False)

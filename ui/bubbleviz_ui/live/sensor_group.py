@@ -49,8 +49,11 @@ class SensorGroup(QObject):
             scene.move_camera(np.linalg.inv(self._T_W_B(number)) @ before)
 
     def choose_next(self) -> None:
-        """Show the next sensor in the panels."""
-        self.choose((self._controller.chosen + 1) % len(self._controller.clients))
+        """Show the next open sensor in the panels."""
+        clients, chosen = self._controller.clients, self._controller.chosen
+        later = ((chosen + step) % len(clients) for step in range(1, len(clients)))
+        others = self._controller.others
+        self.choose(next((number for number in later if clients[number] in others), chosen))
 
     def follow_if_alone(self) -> None:
         """Request frames of the others while the chosen sensor sends nothing."""
