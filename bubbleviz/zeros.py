@@ -433,7 +433,7 @@ def _is_contact_free(result: Result) -> bool:
 def _gas_changes(source: FrameSource, indices: Iterable[int], pipeline: Pipeline) -> bool:
     """Whether gas pressures of frames differ by more than errors of measurement can.
 
-    They do while a press grows or ends.
+    They do while a press grows or ends quickly.
     """
     measured = [_gas_pressure_pa(source, k) for k in indices]
     known = [pressure for pressure in measured if pressure is not None]
@@ -508,11 +508,11 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
         # A contact that begins, or a camera that moves, does not.
         spans = (max(index - 1 - LAG, 0), index - 1), (index, min(index + LAG, len(source) - 1))
         pairs = [(first, last) for first, last in spans if first < last]
+        if _gas_changes(source, chain(*pairs), pipeline):
+            return None
         noises = (pipeline.image_noise([source[first], source[last]])[0] for first, last in pairs)
         frame = replace(frame, noise=min(noises, default=1.0))
-        if frame.noise <= 1.0 or _gas_changes(source, chain(*pairs), pipeline):
-            return None
-        untouched = pipeline.is_untouched(frame)
+        untouched = frame.noise > 1.0 and pipeline.is_untouched(frame)
         return frame if untouched and not _explained_by_contact(frame, pipeline) else None
     except InputError:
         return None

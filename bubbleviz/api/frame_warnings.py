@@ -70,9 +70,9 @@ class FrameWarnings:
             self._most_friction = max(self._most_friction, friction)
 
     def texts(self, where: str) -> dict[str, str]:
-        """Warnings about the frames so far, by subject; `where` they are from.
+        """Warnings about the frames so far, by subject.
 
-        That is the word recording or source.
+        `where`: what the frames are from, the word recording or source.
         """
         return {subject: text for subject, text in self._found(where) if text}
 

@@ -36,7 +36,8 @@ PRESSURE_ERROR = 0.01
 """Standard deviation of gas pressure differences between recordings, over their largest gauge
 pressure. Data sheets of silicon pressure sensors give a total error band of ±1 to ±2 % of full
 scale, due to zero, span and temperature (Honeywell HSC and ABP: ±1 and ±1.5 %), and full scale is
-at least that pressure; ±2 % is taken as the 95 % interval. Frames of one recording share zero and
+at least that pressure; ±2 % is taken as the 95 % interval. That of an absolute sensor is larger,
+but most of its error is the same in both recordings. Frames of one recording share zero and
 temperature, so a press in the same recording does not have this error."""
 RUBBER_NAMES = {name: name.replace("_", " ") for name in RUBBER_PARAMETERS} | {"prestretch": "λ"}
 _FILE = "the sensor file"

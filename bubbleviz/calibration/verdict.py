@@ -102,10 +102,10 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             for name, of in found.focal_by_rim_px.items()
         )
         out.append(
-            "The rim in the image has its size in the initial sensor file at focal lengths, pixels,"
-            f" of {', '.join(texts)}. A wrong focal length makes every force wrong by twice its"
-            " percentage: correct the camera info, the scale of depth, or the rim in the initial"
-            " sensor file (to 0.5 mm), and identify from that file."
+            "The rim in the image has its size in the initial sensor file at focal lengths of"
+            f" {' and '.join(texts)} pixels. A wrong focal length makes every force wrong by twice"
+            " its percentage: correct the camera info, the scale of depth, or the rim in the"
+            " initial sensor file (to 0.5 mm), and identify from that file."
         )
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"

@@ -289,9 +289,9 @@ def test_sigma_includes_the_uncertainty_of_the_tension(sphere, measured):
     usual, image = estimator(), sphere.depth(0.002)
     gas_pa = REST_PA + sphere.contact.gas_pressure_change_pa if measured else None
 
-    def solved(tension, stiffness_error=0.0):
+    def solved(tension, model_error=0.0):
         gas = Gas.of(SENSOR.pneumatics, usual.mesh)
-        film = ConstantTension(usual.mesh, tension, gas, stiffness_error)
+        film = ConstantTension(usual.mesh, tension, gas, model_error)
         return first(Estimator(usual.observer, film), image, gas_pa)
 
     known, unsure, stiffer = solved(TENSION), solved(TENSION, 0.05), solved(1.05 * TENSION)
