@@ -430,13 +430,12 @@ def _is_contact_free(result: Result) -> bool:
     return result.estimate is not None and result.estimate.status == "no_contact"
 
 
-def _gas_changes(source: FrameSource, indices: Iterable[int], pipeline: Pipeline) -> bool:
+def _gas_changes(frames: Iterable[Frame], pipeline: Pipeline) -> bool:
     """Whether gas pressures of frames differ by more than errors of measurement can.
 
     They do while a press grows or ends quickly.
     """
-    measured = [_gas_pressure_pa(source, k) for k in indices]
-    known = [pressure for pressure in measured if pressure is not None]
+    known = [each.gas_pressure_pa for each in frames if each.gas_pressure_pa is not None]
     largest = GAS_LAG * pipeline.model.sensor.pneumatics.gauge_pressure_pa
     return bool(known) and max(known) - min(known) > largest
 
@@ -507,10 +506,10 @@ def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame 
         # Noise changes images before a frame as much as those from it on, and not the gas pressure.
         # A contact that begins, or a camera that moves, does not.
         spans = (max(index - 1 - LAG, 0), index - 1), (index, min(index + LAG, len(source) - 1))
-        pairs = [(first, last) for first, last in spans if first < last]
-        if _gas_changes(source, chain(*pairs), pipeline):
+        pairs = [(source[first], source[last]) for first, last in spans if first < last]
+        if _gas_changes(chain(*pairs), pipeline):
             return None
-        noises = (pipeline.image_noise([source[first], source[last]])[0] for first, last in pairs)
+        noises = (pipeline.image_noise(pair)[0] for pair in pairs)
         frame = replace(frame, noise=min(noises, default=1.0))
         untouched = frame.noise > 1.0 and pipeline.is_untouched(frame)
         return frame if untouched and not _explained_by_contact(frame, pipeline) else None

@@ -51,10 +51,12 @@ class FrameWarnings:
         self._statuses[estimate.status] += 1
         self._by_depth_only += estimate.flow_contradicts
         if estimate.image_errors is not None:
-            known = result.frame.image_errors is not None
-            if known or estimate.status == "no_contact":  # else mixed up with the contact
-                self._image_errors.append(estimate.image_errors.mean)
-                self._errors_known = self._errors_known or known
+            known = result.frame.image_errors
+            # with contact, those found in the image are mixed up with it
+            errors = estimate.image_errors if estimate.status == "no_contact" else known
+            if errors is not None:
+                self._image_errors.append(errors.mean)
+                self._errors_known = self._errors_known or known is not None
             moved, time_s = camera_moved(result), result.frame.time_s
             if estimate.status == "ok" and moved:
                 self._moved += 1

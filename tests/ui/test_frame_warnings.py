@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fakes import DentSource
+from fakes import DentSource, small_sensor
 from window_driver import clipboard_text
 
 import bubbleviz as bv
@@ -95,6 +95,15 @@ def test_wrong_scale_is_told_at_the_first_frame(drive, tmp_path, file):
         bv.estimate(path, file)
     driver.wait_for_message("no frame looks like the membrane")
     assert driver.message_text.rstrip(".") in str(refused.value)
+
+
+def test_one_frame_with_contact_tells_no_movement_of_the_camera(drive, tmp_path):
+    """Its image may be explained by a movement of the camera instead of by the contact."""
+    sensor = small_sensor(nodes=80)
+    path = record(tmp_path / "dent.mcap", DentSource(sensor))
+    driver = drive(lambda _: Recording(path), sensor, frame=8)
+    driver.wait_until_counted()
+    assert not warnings(driver)
 
 
 def test_live_frames_that_contradict_those_without_contact(open_bench, file):

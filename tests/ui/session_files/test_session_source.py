@@ -67,8 +67,7 @@ def test_session_keeps_object_initial_pose_and_tracking_and_reports_a_missing_ob
     (tmp_path / "theirs" / "stamp.ply").unlink()
     other.seek(3)
     other.window.files.open(tmp_path / "theirs" / "look.bubbleviz")
-    other.wait(other.window.message.isVisible)
-    assert "stamp.ply is missing; the rest is restored" in other.message_text
+    other.wait_for_message("stamp.ply is missing; the rest is restored")
     other.wait(lambda: other.state.frame == 8 and other.state.facts.frames == FRAMES)
     assert theirs.session.object_name is None
 
