@@ -20,6 +20,9 @@ from bubbleviz_ui.model.units import UNIT_CHOICES, Units
         (Units().force.text(None), "–"),
         (Units().force.text(math.nan), "–"),
         (Units().gas_pressure.text(443.2, signed=True), "+443 Pa"),
+        (Units().pressure.rough(70_690.0), "71 kPa"),
+        (Units().pressure.rough(153.0), "0.15 kPa"),
+        (Units().gas_pressure.rough(1234.0), "1200 Pa"),
         (Units().force.with_interval(4.784, 0.034), "4.78 ± 0.03 N"),
         (Units().force.with_interval(4.784, 0.002), "4.78 ± 0.01 N"),  # not 0.00
         (Units().force.with_interval(4.784, 0.0), "4.78 ± 0.00 N"),

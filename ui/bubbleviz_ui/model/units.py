@@ -35,6 +35,11 @@ class Unit:
         sign = "+" if signed else ""
         return f"{shown:{sign}.{self.digits}f} {self.symbol}"
 
+    def rough(self, si: float) -> str:
+        """Number without an interval, to two significant digits, and unit."""
+        shown = self.from_si(si)
+        return f"{rounded(shown, decimals_of(shown, self.digits))} {self.symbol}"
+
     def with_interval(self, si: float | None, half_width: float | None) -> str:
         """Text: number ± half of its 95 % interval, rounded to significant digits, with unit."""
         if si is None or half_width is None or not math.isfinite(si + half_width):

@@ -310,7 +310,7 @@ def readout(result: Result, units: Units, *, final: bool) -> tuple[str, str]:
         return UNTRUSTED_STATUS[estimate.status], estimate.reason
     if estimate.status == "no_contact" or patch.area_m2 <= 0:
         return "no contact", ""
-    peak = units.pressure.text(float(estimate.contact_pressure_pa.max()))
+    peak = units.pressure.rough(float(estimate.contact_pressure_pa.max()))
     area = units.area.with_range(patch.area_m2, *patch.area_interval_m2)
     patches = f"patch {area}"
     if result.object_patch is not None:
