@@ -129,9 +129,9 @@ def test_images_and_view_mark_the_same_probed_place_and_fit_a_small_window(drive
     u, p_c = (found.interpolated(field) for field in fields)
     where = "in" if found.in_patch else "outside"
     assert text[2] == f"u {1e3 * u:.2f} mm · p_c {p_c / 1e3:.2f} kPa · {where} the patch"
-    driver.wait_until_shown()
     place = screen_point(driver, found.membrane_m)
-    assert near(driver.pixels(), place, NODE) and not near(before, place, NODE)
+    driver.wait(lambda: near(driver.pixels(), place, NODE))
+    assert not near(before, place, NODE)
     for name in ("depth", "change"):
         marks = panel.cells[name].pixel.getData()
         assert (marks[0][0], marks[1][0]) == (column + 0.5, row + 0.5)
