@@ -319,6 +319,7 @@ class Zeros(NamedTuple):
     gas: PressureZero | None  # None: its gas pressure is not measured, or not corrected
     image: ImageZero
     still: StillFrames | None = None  # None: each frame by its own image
+    rest_frames: int | None = None  # frames of a recording without contact; None: of a stream
 
     @classmethod
     def of_stream(
@@ -377,7 +378,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     pressures = [each.gas_pressure_pa for each in rest]
     others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
     if all(each is None for each in pressures) and all(each is None for each in others):
-        return Zeros(None, image, still)
+        return Zeros(None, image, still, len(rest))
     gas = PressureZero.of(pipeline.model.sensor.pneumatics)
     measured = [pressure for pressure in pressures if pressure is not None]
     if len(measured) >= MIN_FRAMES:
@@ -385,7 +386,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
         if not gas.frozen:
             gas.take(measured)
     gas.restore(gas.rest_pa, waiting=False)
-    return Zeros(gas, image, still)
+    return Zeros(gas, image, still, len(rest))
 
 
 def _knows_errors(pipeline: Pipeline) -> bool:

@@ -203,7 +203,7 @@ def estimate(
                 write(result)
                 run.add(result, keep=out is None)
             _check_any_data(run, any_depth)
-        run.warn(chosen.note, *frame_solver.warnings("recording"), equal.warning)
+        run.warn(chosen.note, *frame_solver.warnings(), equal.warning)
     return FrameResult(result, pipeline.model) if isinstance(frames, Frame) else run
 
 
@@ -319,7 +319,7 @@ def track(
             run.add(result, keep=out is None)
             if result.pose is not None and result.pose.status == "ok" and len(result.pose.others):
                 ambiguous.append((result.frame.index, result.pose))
-        run.warn(chosen.note, *frame_solver.warnings("recording"), _other_poses(ambiguous))
+        run.warn(chosen.note, *frame_solver.warnings(), _other_poses(ambiguous))
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)

@@ -260,7 +260,7 @@ class FrameSolver:
         self.pipeline, self.texture = pipeline, texture
         self.zeros = zeros or Zeros(None, ImageZero())
         self._products, self._options = products, options
-        self._warnings = FrameWarnings(pipeline, self.zeros)
+        self._warnings, self._count = FrameWarnings(pipeline, self.zeros), 0
         self._blas = ThreadpoolController()  # finding the libraries takes 2 ms, so only once
 
     def solve(self, frame: Frame) -> Result:
@@ -271,12 +271,13 @@ class FrameSolver:
             self.zeros.follow(frame, result, self.pipeline)
             if self.texture is not None:
                 self.texture.take(result)
-        self._warnings.take(frame, result)
+        self._warnings.take(self._count, frame, result)
+        self._count += 1
         return result
 
-    def warnings(self, where: str) -> list[str]:
-        """Warnings about the frames so far; `where` they are from: recording or source."""
-        return list(self._warnings.texts(where).values())
+    def warnings(self) -> list[str]:
+        """Warnings about the frames so far."""
+        return list(self._warnings.texts().values())
 
 
 def given_pose(init: str | np.ndarray | None) -> np.ndarray | None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import Counter, deque
+import sys
 from collections.abc import Iterator
 
 import numpy as np
 
-from bubbleviz.camera import UPPER_95
+from bubbleviz.camera import IMAGE_ERRORS, UPPER_95
 from bubbleviz.inverse import LINEAR, PAPER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, gas_warning
@@ -16,81 +16,101 @@ from bubbleviz.result import Result
 from bubbleviz.wording import count_of
 from bubbleviz.zeros import Zeros, camera_moved, drift_warning
 
-NO_FRAME_FITS = (
-    "no frame looks like the membrane of this sensor; choose the sensor file of this camera, and "
-    "check the gas pressure and the unit of depth (m in 32FC1, mm in 16UC1)"
+_MISFIT = "no frame looks like the membrane of this sensor"
+_OTHER_FILE = (
+    "choose the sensor file of this camera, and check the gas pressure and the unit of depth (m in "
+    "32FC1, mm in 16UC1)"
 )
-_DRIFT_IMAGES = 10_000
-"""Most recent images used for the drift warning: five minutes of a stream."""
+NO_FRAME_FITS = f"{_MISFIT}; {_OTHER_FILE}"
+RECENT_FRAMES = 10_000
+"""Frames of a stream that count, the most recent: five minutes. What was repaired is forgotten."""
 _CHANCE = 0.02  # share of images that contradict their known errors by chance
+_FACTS = np.dtype(
+    [
+        ("number", np.int64),  # -1: not solved
+        # by status, as in `Estimate.status`
+        ("ok", bool),
+        ("no_contact", bool),
+        ("implausible", bool),
+        ("moved", bool),  # the image contradicts its known errors
+        ("by_depth_only", bool),  # colour contradicts depth
+        ("errors_known", bool),  # from frames without contact
+        ("errors", np.float32, (len(IMAGE_ERRORS),)),  # of the depth image; NaN if unknown
+        ("gas_pressure_pa", np.float32),  # NaN if not measured
+        ("seen_share", np.float32),  # of the contact, by the camera
+        ("friction", np.float32),  # lower bound, over normal force; NaN if unknown
+    ]
+)
+"""What the warnings use of a frame."""
 
 
 class FrameWarnings:
-    """Counts the frames of a recording or stream that contradict what is assumed about them."""
+    """Counts the frames of a recording or stream that contradict what is assumed about them.
+
+    All frames of a recording count, the most recent of a stream.
+    """
 
     def __init__(self, pipeline: Pipeline, zeros: Zeros) -> None:
         self._pipeline, self._zeros = pipeline, zeros
-        self._measured_pa: float | None = None
-        self._image_errors: deque[np.ndarray] = deque(maxlen=_DRIFT_IMAGES)
-        self._errors_known = False  # from frames without contact
-        self._frames_over, self._most_friction = 0, 0.0  # with more friction than expected
-        self._statuses: Counter[str] = Counter()
-        # frames with contact whose image contradicts its known errors, and the time of the first;
-        # times of frames without contact, and whether theirs does
-        self._moved, self._first_moved_s = 0, math.inf
-        self._free: deque[tuple[float, bool]] = deque(maxlen=_DRIFT_IMAGES)
-        self._by_depth_only = 0  # frames in which colour contradicts depth
-        self._partly_seen, self._least_seen = 0, 1.0  # frames; smallest share of a contact seen
+        self._where = "source" if zeros.rest_frames is None else "recording"
+        self._most = RECENT_FRAMES if zeros.rest_frames is None else sys.maxsize
+        self.restart()
 
-    def take(self, frame: Frame, result: Result) -> None:
-        """Count a frame, as it was measured, and its result."""
-        self._measured_pa = self._measured_pa or frame.gas_pressure_pa
-        estimate = result.estimate
-        if estimate is None:
-            return
-        self._statuses[estimate.status] += 1
-        self._by_depth_only += estimate.flow_contradicts
-        if estimate.image_errors is not None:
-            known = result.frame.image_errors
-            # with contact, those found in the image are mixed up with it
-            errors = estimate.image_errors if estimate.status == "no_contact" else known
-            if errors is not None:
-                self._image_errors.append(errors.mean)
-                self._errors_known = self._errors_known or known is not None
-            moved, time_s = camera_moved(result), result.frame.time_s
-            if estimate.status == "ok" and moved:
-                self._moved += 1
-                self._first_moved_s = min(self._first_moved_s, time_s)
-            if estimate.status == "no_contact":
-                self._free.append((time_s, moved))
-        if estimate.seen_share < 1.0:
-            self._partly_seen += 1
-            self._least_seen = min(self._least_seen, estimate.seen_share)
-        friction = _least_friction(result)
-        if friction > self._pipeline.options.friction:
-            self._frames_over += 1
-            self._most_friction = max(self._most_friction, friction)
+    def restart(self) -> None:
+        """Forget all frames."""
+        self._facts = np.zeros(0, _FACTS)
 
-    def texts(self, where: str) -> dict[str, str]:
-        """Warnings about the frames so far, by subject.
+    def take(self, number: int, frame: Frame, result: Result) -> None:
+        """Count a frame, as it was measured, if its result has an estimate.
 
-        `where`: what the frames are from, the word recording or source.
+        A frame that is solved again, with the same `number`, counts once.
         """
-        return {subject: text for subject, text in self._found(where) if text}
+        estimate, at = result.estimate, number % self._most
+        if at >= len(self._facts):
+            facts = np.zeros(min(max(at + 1, 2 * len(self._facts)), self._most), _FACTS)
+            facts[: len(self._facts)] = self._facts
+            facts["number"][len(self._facts) :] = -1
+            self._facts = facts
+        if estimate is None or self._facts["number"][at] == number:
+            return
+        known, found = result.frame.image_errors, estimate.image_errors
+        # with contact, those found in the image are mixed up with it
+        errors = found if found is None or estimate.status == "no_contact" else known
+        pressure_pa = frame.gas_pressure_pa
+        self._facts[at] = (
+            number,
+            *(estimate.status == name for name in ("ok", "no_contact", "implausible")),
+            camera_moved(result),
+            estimate.flow_contradicts,
+            found is not None and known is not None,
+            math.nan if errors is None else errors.mean,
+            math.nan if pressure_pa is None else pressure_pa,
+            estimate.seen_share,
+            _least_friction(result),
+        )
 
-    def _found(self, where: str) -> Iterator[tuple[str, str]]:
+    def texts(self) -> dict[str, str]:
+        """Warnings about the frames so far, by subject."""
+        numbers = self._facts["number"]
+        oldest = max(0, numbers.max(initial=0) - self._most + 1)
+        facts = self._facts[numbers >= oldest]
+        return {subject: text for subject, text in self._found(facts) if text}
+
+    def _found(self, facts: np.ndarray) -> Iterator[tuple[str, str]]:
         yield "file", self._pipeline.model.contradiction
-        yield "gas", self._gas_warning(where)
-        yield "camera", _camera_warning(self._pipeline, where)
-        misfits = self._statuses["implausible"]
-        if misfits and misfits == self._statuses.total():
-            yield "fit", NO_FRAME_FITS
-        elif misfits and not self._statuses["no_contact"]:
+        yield "gas", self._gas_warning(facts)
+        yield "camera", _camera_warning(self._pipeline, self._where)
+        misfits, count = int(facts["implausible"].sum()), len(facts)
+        if self._zeros.rest_frames or not misfits or facts["no_contact"].any():
+            pass  # frames without contact fit the sensor file
+        elif misfits == count:
+            yield "fit", f"{_MISFIT} ({count:,} solved); {_OTHER_FILE}"
+        else:
             yield (
                 "unconfirmed",
-                f"{count_of(misfits, 'frame')} did not fit the sensor file, and no contact-free "
-                "frame confirms the file, so forces in the other frames may be wrong: check the "
-                "file against contact-free frames (bubbleviz check)",
+                f"{count_of(misfits, 'frame')} did not fit the sensor file, and none of the other "
+                f"{count - misfits:,} solved is contact-free to confirm the file, so forces in "
+                "them may be wrong: check the file against contact-free frames (bubbleviz check)",
             )
         if (noise := self._zeros.image.noise) > UPPER_95:  # which weakens the evidence of contact
             yield (
@@ -99,53 +119,58 @@ class FrameWarnings:
                 "sensor file (it is larger, or correlated), so light contacts may not be found: "
                 "identify the sensor again, or turn off spatial filters of the camera",
             )
-        yield "depth", self._contact_warning() or self._drift_warning()
-        friction = self._pipeline.options.friction
-        frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
-        if frictionless and friction and self._pipeline.options.friction_given:
-            yield (
-                "friction",
-                f"the linear membrane has no friction, so --friction {friction:g} changes nothing; "
-                "leave it out, or choose a sensor file with a pre-stretch (and no --solver)",
-            )
-        elif self._frames_over:
-            yield (
-                "friction",
-                f"friction in {count_of(self._frames_over, 'frame')} is at least "
-                f"{self._most_friction:.2g} of the normal force, more than the expected "
-                f"coefficient of {friction:.2g}, so the estimate of "
-                "friction is too small: expect more (--friction)",
-            )
-        if self._partly_seen:
+        yield "depth", self._contact_warning(facts) or self._drift_warning(facts)
+        yield "friction", self._friction_warning(facts["friction"])
+        unseen = facts["seen_share"][facts["seen_share"] < 1.0]
+        if unseen.size:
             yield (
                 "view",
-                "the camera sees only a part of the contact in "
-                f"{count_of(self._partly_seen, 'frame')} (at least {100 * self._least_seen:.0f} % "
-                "of its area); the force on the unseen part is inferred from the membrane around "
-                "it and less certain. Press nearer to the middle of the image",
+                f"the camera sees only a part of the contact in {count_of(unseen.size, 'frame')} "
+                f"(at least {100 * unseen.min():.0f} % of its area); the force on the unseen part "
+                "is inferred from the membrane around it and less certain. Press nearer to the "
+                "middle of the image",
             )
-        if self._by_depth_only:
+        if by_depth_only := int(facts["by_depth_only"].sum()):
             yield (
                 "colour",
-                f"colour contradicts depth in {count_of(self._by_depth_only, 'frame')}, which were "
+                f"colour contradicts depth in {count_of(by_depth_only, 'frame')}, which were "
                 "solved by depth alone; their stamps may be of different moments. Give the delay "
                 "of colour (--colour-delay)",
             )
 
-    def _contact_warning(self) -> str:
+    def _friction_warning(self, found: np.ndarray) -> str:
+        """Warning if friction (F,) over normal force exceeds the coefficient, or is ignored."""
+        friction = self._pipeline.options.friction
+        frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
+        if frictionless and friction and self._pipeline.options.friction_given:
+            return (
+                f"the linear membrane has no friction, so --friction {friction:g} changes nothing; "
+                "leave it out, or choose a sensor file with a pre-stretch (and no --solver)"
+            )
+        over = found[found > friction]
+        if not over.size:
+            return ""
+        return (
+            f"friction in {count_of(over.size, 'frame')} is at least {over.max():.2g} of the "
+            f"normal force, more than the expected coefficient of {friction:.2g}, so the estimate "
+            "of friction is too small: expect more (--friction)"
+        )
+
+    def _contact_warning(self, facts: np.ndarray) -> str:
         """Warning if more images with contact than by chance contradict those without; else empty.
 
         A difference that ends with the contact is not drift of the camera.
         """
-        if self._moved <= max(1, _CHANCE * self._statuses["ok"]):
+        moved = facts["number"][facts["ok"] & facts["moved"]]
+        if moved.size <= max(1, _CHANCE * facts["ok"].sum()):
             return ""
         causes, remedies = list[str](), list[str]()
-        later = [moved for time_s, moved in self._free if time_s >= self._first_moved_s]
-        if not later or sum(later) > _CHANCE * len(later):
+        later = facts["moved"][facts["no_contact"] & (facts["number"] > moved.min())]
+        if not later.size or later.mean() > _CHANCE:
             causes.append("the camera drifted")
             remedies.append("let the camera warm up, check that it is fixed")
         gas = self._zeros.gas
-        if self._measured_pa is None or (gas is not None and gas.frozen):
+        if _measured_pa(facts) is None or (gas is not None and gas.frozen):
             causes.append("the gas pressure, which is not measured, does not follow the gas law")
             remedies.append("record the gas pressure, check chamber_volume_m3")
         else:
@@ -153,28 +178,35 @@ class FrameWarnings:
             remedies.append("check values and stamps of the gas pressure")
         remedy = ", ".join(remedies)
         return (
-            f"depth in {count_of(self._moved, 'frame')} with contact contradicts depth in the "
+            f"depth in {count_of(moved.size, 'frame')} with contact contradicts depth in the "
             f"contact-free ones: {', '.join(causes)}, or shape or rubber of the membrane "
             "differ from the sensor file; forces in these frames are less certain. "
             f"{remedy[0].upper()}{remedy[1:]}, or identify the sensor again"
         )
 
-    def _drift_warning(self) -> str:
+    def _drift_warning(self, facts: np.ndarray) -> str:
         """Warning if depth drifted by more than three σ since the calibration; else empty."""
+        errors = facts["errors"][~np.isnan(facts["errors"][:, 0])]
         # one image alone may show an object too shallow to be found
-        if len(self._image_errors) < (1 if self._errors_known else 2):
+        if len(errors) < (1 if facts["errors_known"].any() else 2):
             return ""
-        errors, measured = np.median(self._image_errors, axis=0), self._measured_pa is not None
-        return drift_warning(errors, self._pipeline, gas_measured=measured)
+        measured = _measured_pa(facts) is not None
+        return drift_warning(np.median(errors, axis=0), self._pipeline, gas_measured=measured)
 
-    def _gas_warning(self, where: str) -> str:
+    def _gas_warning(self, facts: np.ndarray) -> str:
         """Warning if the gas pressure contradicts the sensor file, or never changes; else empty."""
-        known_pa, zero = self._pipeline.model.gas.P0, self._zeros.gas
+        known_pa, zero, where = self._pipeline.model.gas.P0, self._zeros.gas, self._where
         if zero is not None and zero.frozen:
-            return zero.frozen_warning(where) if self._statuses["ok"] else ""
+            return zero.frozen_warning(where) if facts["ok"].any() else ""
         if zero is None or zero.rest_pa is None:
-            return gas_warning(self._measured_pa, known_pa, f"in the {where}")
+            return gas_warning(_measured_pa(facts), known_pa, f"in the {where}")
         return gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
+
+
+def _measured_pa(facts: np.ndarray) -> float | None:
+    """Median of the measured gas pressures, Pa; None if there are none."""
+    measured = facts["gas_pressure_pa"][~np.isnan(facts["gas_pressure_pa"])]
+    return float(np.median(measured)) if measured.size else None
 
 
 def _least_friction(result: Result) -> float:

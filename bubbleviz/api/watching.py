@@ -120,7 +120,7 @@ class Watcher:
             texture=None if texture is None else texture.words,
             counters=asdict(stream.counters),
             model=None if self.last is None else self.last.solution[0].caveat or None,
-            warning="; ".join(filter(None, (*solver.warnings("source"), stream.frozen))) or None,
+            warning="; ".join(filter(None, (*solver.warnings(), stream.frozen))) or None,
         )
 
 

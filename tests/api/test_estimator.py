@@ -112,12 +112,12 @@ def test_live_pressure_sensor_that_repeats_one_value_is_not_used(frames, sensor)
         estimator.update(free.depth_m, free.gas_pressure_pa)
     for _ in range(ZERO_FRAMES):
         estimator.update(pressed.depth_m, free.gas_pressure_pa)
-    assert "in the source never changes" in " ".join(estimator.solver.warnings("source"))
+    assert "in the source never changes" in " ".join(estimator.solver.warnings())
     repeated = estimator.update(pressed.depth_m, free.gas_pressure_pa)
     unmeasured = bv.estimate([free, replace(pressed, gas_pressure_pa=None)], sensor)[1]
     np.testing.assert_allclose(repeated.force_n, unmeasured.force_n, atol=0.02)
     estimator.update(pressed.depth_m, pressed.gas_pressure_pa)
-    assert "never changes" not in " ".join(estimator.solver.warnings("source"))
+    assert "never changes" not in " ".join(estimator.solver.warnings())
 
 
 def test_colour_without_friction_is_refused(sensor):

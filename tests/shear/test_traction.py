@@ -138,7 +138,7 @@ def test_colour_that_contradicts_depth_is_not_used_and_told():
     frames = [eyes.see(each, noise=noise) for each in (now, later)]
     solver = FrameSolver(eyes.pipeline, frozenset({"patch", "traction", "slip"}))
     assert [solver.solve(each).traction.status for each in frames] == ["ok", "ok"]
-    assert solver.warnings("recording") == []
+    assert solver.warnings() == []
     eyes.flows[0] = eyes.flows[0]._replace(flow=eyes.flows[1].flow)
     eyes.pipeline.restart()
     led = solver.solve(frames[0])
@@ -147,7 +147,7 @@ def test_colour_that_contradicts_depth_is_not_used_and_told():
     assert led.slip is None
     error, sigma = led.estimate.force_n - now.force_n, led.estimate.force_sigma_n
     assert (np.abs(error) < 1.96 * sigma).all()
-    (warning,) = solver.warnings("recording")
+    (warning,) = solver.warnings()
     assert warning.startswith("colour contradicts depth in 1 frame,")
 
 

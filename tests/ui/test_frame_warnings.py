@@ -26,6 +26,10 @@ def gas_pressure_wrong(frame):
     return replace(frame, gas_pressure_pa=0.1 * frame.gas_pressure_pa + 0.9 * rest_pa)
 
 
+def one_scale_wrong(frame):
+    return scale_wrong(frame) if frame.index == REST else frame
+
+
 def scale_wrong(frame):
     return replace(frame, depth_m=1.4 * frame.depth_m)
 
@@ -93,8 +97,20 @@ def test_wrong_scale_is_told_at_the_first_frame(drive, tmp_path, file):
     driver = drive(lambda _: Recording(path), bv.load_sensor(file), frame=REST)
     with pytest.raises(bv.InputError, match="no frame looks like the membrane") as refused:
         bv.estimate(path, file)
-    driver.wait_for_message("no frame looks like the membrane")
-    assert driver.message_text.rstrip(".") in str(refused.value)
+    driver.wait_for_message("no frame looks like the membrane of this sensor (1 solved)")
+    advice = driver.message_text.split("; ")[1].rstrip(".")
+    assert advice in str(refused.value)
+
+
+def test_one_misfit_among_frames_that_fit_says_nothing_of_the_sensor_file(drive, tmp_path, file):
+    """The zeros are of frames without contact, which the file fits, although none was looked at."""
+    path = recorded(tmp_path, file, one_scale_wrong)
+    driver = drive(lambda _: Recording(path), bv.load_sensor(file), frame=REST)
+    assert driver.window.controller.result.estimate.status == "implausible"
+    for frame in (REST, REST + 4):  # with contact
+        driver.seek(frame)
+        driver.wait_until_counted()
+        assert not warnings(driver)
 
 
 def test_one_frame_with_contact_tells_no_movement_of_the_camera(drive, tmp_path):

@@ -165,33 +165,6 @@ def _bytes(value: object) -> int:
     return sum(map(_bytes, vars(value).values())) if is_dataclass(value) else 0
 
 
-# Warnings about the frames solved so far.
-
-
-class SolvedFrames:
-    """Warnings about frames, of which each counts once, however often it is solved."""
-
-    def __init__(self, pipeline: Pipeline, zeros: Zeros) -> None:
-        self._new = partial(FrameWarnings, pipeline, zeros)
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget all frames."""
-        self._warnings, self._counted = self._new(), bytearray()
-
-    def take(self, measured: Frame, result: Result) -> None:
-        """Count a frame, as it was measured, if its result has an estimate."""
-        index, counted = measured.index, self._counted
-        counted.extend(bytes(max(index + 1 - len(counted), 0)))
-        if result.estimate is not None and not counted[index]:
-            counted[index] = 1
-            self._warnings.take(measured, result)
-
-    def texts(self, where: str) -> dict[str, str]:
-        """Warnings by subject; `where` the frames are from: recording or source."""
-        return self._warnings.texts(where)
-
-
 LIVE_TIMEOUT_S, POLL_S = 0.05, 0.005
 """Waiting time after which a live source counts as paused, and the period at which a more urgent
 request is checked for meanwhile."""
@@ -219,7 +192,7 @@ class OpenSource:
     side_by_side: SettingsComparison
     wrench_bias: Iterator[np.ndarray | None]
     zeros: Zeros
-    solved: SolvedFrames
+    counted: FrameWarnings
     shear: ShearReference = field(default_factory=ShearReference)
     estimates: EstimateCache = field(default_factory=EstimateCache)
     solver_process: PipelineProcess | None = None
@@ -258,7 +231,7 @@ class OpenSource:
         products = self.shear.products(self.source, pipeline, demand)
         products -= DIAGNOSTICS.keys()
         if self.has_colour and self.estimates.use(flow=demand.flow):
-            self.solved.restart()
+            self.counted.restart()
         estimate = None if products & FLOW_PRODUCTS else self.estimates.final(frame.index)
         if cold and estimate is None:
             pipeline.restart()
@@ -270,7 +243,7 @@ class OpenSource:
             result = solver_process.process(frame, products, demand.options)
         if stream is not None:
             self.zeros.follow(measured, result, pipeline)
-        self.solved.take(measured, result)
+        self.counted.take(measured.index, measured, result)
         if products & FLOW_PRODUCTS:
             self.shear.add_frame(result)
         return result
@@ -297,10 +270,6 @@ class OpenSource:
             final = cold and result.flow is None
             self.estimates.keep(index, Kept(numbers, estimate, self.pipeline.start, final))
         return numbers
-
-    def warnings(self) -> dict[str, str]:
-        """Warnings about the frames solved so far, by subject."""
-        return self.solved.texts("source" if self.opened.live else "recording")
 
     def close(self) -> None:
         """Close the source and end the solver process."""
@@ -467,14 +436,18 @@ class Solver:
         Not while playing, as it takes seconds, nor if the frames solved so far tell it.
         """
         recording = current.recording
-        if recording is None or self._checked is current or MISFITS & current.warnings().keys():
+        if (
+            recording is None
+            or self._checked is current
+            or MISFITS & current.counted.texts().keys()
+        ):
             return ""
         self._checked = current
         return _checked_remark(recording, current.pipeline.model)
 
     def warnings(self) -> dict[str, str]:
         """Warnings about the frames solved so far, by subject."""
-        return self._open.warnings()
+        return self._open.counted.texts()
 
     def open(self, request: OpenRequest) -> Opened:
         """Open a source in place of the current one.
@@ -495,8 +468,8 @@ class Solver:
                 sigma_pa = sensor.pneumatics.atmospheric_sigma_pa
                 stream.zero.refer_to(pipeline.model.gas.P0, sigma_pa)
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
-            bias, zeros = wrench_bias(source, pipeline), _zeros(source, stream, pipeline)
-            counted = SolvedFrames(pipeline, zeros)
+            bias, zeros = wrench_bias(source, pipeline), _zeros(source, request.source, pipeline)
+            counted = FrameWarnings(pipeline, zeros)
             current = OpenSource(request.source, source, pipeline, settings, bias, zeros, counted)
             products = current.shear.products(source, pipeline, request.demand)
             pipeline.prepare(products)  # not part of the frame's run time
@@ -521,11 +494,12 @@ class Solver:
         return Opened(request, facts, sensor, camera, mesh, result, numbers, of_recording)
 
 
-def _zeros(source: FrameSource, stream: LiveFrames | None, pipeline: Pipeline) -> Zeros:
-    if stream is not None:
-        return Zeros.of_stream(stream.zero, pipeline, stream)
-    recorded = isinstance(source, Recording)
-    return zeros_of(source, pipeline) if recorded else Zeros(None, ImageZero())
+def _zeros(source: FrameSource, opened: Source, pipeline: Pipeline) -> Zeros:
+    if opened.stream is not None:
+        return Zeros.of_stream(opened.stream.zero, pipeline, opened.stream)
+    if isinstance(source, Recording):
+        return zeros_of(source, pipeline)
+    return Zeros(None, ImageZero(), rest_frames=None if opened.live else 0)
 
 
 def _facts(current: OpenSource, sensor: Sensor) -> SourceFacts:
@@ -621,7 +595,7 @@ def _process_ended_remark(current: OpenSource, reason: str) -> str:
 def _zero_remark(zero: PressureZero | None) -> str:
     """Remark on a recording's zero; empty if its offset is within the sensor's noise.
 
-    That of a sensor which repeats one value is told by `SolvedFrames`.
+    That of a sensor which repeats one value is told by `FrameWarnings`.
     """
     if zero is None or zero.frozen:
         return ""
