@@ -26,6 +26,10 @@ def gas_pressure_wrong(frame):
     return replace(frame, gas_pressure_pa=0.1 * frame.gas_pressure_pa + 0.9 * rest_pa)
 
 
+def as_it_is(frame):
+    return frame
+
+
 def one_scale_wrong(frame):
     return scale_wrong(frame) if frame.index == REST else frame
 
@@ -111,6 +115,16 @@ def test_one_misfit_among_frames_that_fit_says_nothing_of_the_sensor_file(drive,
         driver.seek(frame)
         driver.wait_until_counted()
         assert not warnings(driver)
+
+
+def test_reloading_one_sensor_keeps_the_warnings_of_the_other(open_bench, file):
+    bench = open_bench()
+    bench.drop(*(recorded(bench.folder, file, change) for change in (as_it_is, scale_wrong)), file)
+    bench.wait_for_message("scale_wrong: no frame looks like the membrane")
+    bench.trigger("File › Reload")
+    bench.wait(lambda: not bench.window.controller.opening.busy)
+    assert bench.window.message.isVisible()
+    bench.wait_for_message("scale_wrong: no frame looks like the membrane")
 
 
 def test_one_frame_with_contact_tells_no_movement_of_the_camera(drive, tmp_path):

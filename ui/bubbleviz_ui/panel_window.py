@@ -369,7 +369,7 @@ class PanelWindow(QMainWindow):
         self.setCorner(Qt.Corner.BottomRightCorner, SIDES[below])
 
     def _connect(self) -> None:
-        self.controller.replaced.connect(self.message.drop_warnings)
+        self.controller.replaced.connect(self._on_replaced)
         self.controller.opened.connect(self._on_opened)
         self.controller.shown.connect(self._on_shown)
         self.controller.failed.connect(self._on_failed)
@@ -409,6 +409,10 @@ class PanelWindow(QMainWindow):
         if quiet and message.topic:
             self.message.drop_topic(message.topic)
         (self.notice if quiet else self.message).show_message(message)
+
+    def _on_replaced(self) -> None:
+        """Remove warnings about the previous source; the other sensors keep theirs."""
+        self.message.drop_warnings([each.prefix for each in self.controller.others])
 
     def _on_source(self, facts: SourceFacts) -> None:
         self._show_title()

@@ -315,16 +315,16 @@ class SensorClient(QObject):
         self.worker.submit(self.solver.warnings, self._take_warnings, key="warnings")
 
     def _take_warnings(self, texts: dict[str, str]) -> None:
-        named = {subject: f"{self._before}{text}." for subject, text in texts.items()}
-        self._warned = self._state.messages.revise(self._warned, named)
+        named = {subject: f"{self.prefix}{text}." for subject, text in texts.items()}
+        self._warned = self._state.messages.revise(self._warned, named, self.prefix)
 
     def _warn(self, text: str) -> None:
         if text:
-            self._state.messages.add("warning", f"{self._before}{text}")
+            self._state.messages.add("warning", f"{self.prefix}{text}", topic=self.prefix)
 
     @property
-    def _before(self) -> str:
-        """Beginning of a warning about one of several sensors."""
+    def prefix(self) -> str:
+        """Beginning of a message about one of several sensors, else empty."""
         return f"{self.name}: " if self.name else ""
 
     def _show(self, solved: Solved) -> None:

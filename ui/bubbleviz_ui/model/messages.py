@@ -35,7 +35,9 @@ class UserMessage:
     details: str = ""  # Traceback of a bug
     file: Path | None = None  # File or folder that was written
     at: datetime = field(default_factory=datetime.now)
-    topic: str = ""  # A later success of the same topic removes an error from the message bar
+    # A later success of the same topic removes an error from the message bar. Of a warning about
+    # one of several sensors: its `SensorClient.prefix`
+    topic: str = ""
 
     def line(self) -> str:
         """Time, kind and text, separated by tabs."""
@@ -72,15 +74,15 @@ class Messages(QObject):
         self.added.emit(message)
         return message
 
-    def revise(self, before: Warnings, texts: dict[str, str]) -> Warnings:
+    def revise(self, before: Warnings, texts: dict[str, str], topic: str) -> Warnings:
         """Log warnings that hold now, by subject, in place of those known before."""
         for subject in before.keys() - texts.keys():
             self.revised.emit(before[subject], None)
-        return {key: self._revised(before.get(key), text) for key, text in texts.items()}
+        return {key: self._revised(before.get(key), text, topic) for key, text in texts.items()}
 
-    def _revised(self, message: UserMessage | None, text: str) -> UserMessage:
+    def _revised(self, message: UserMessage | None, text: str, topic: str) -> UserMessage:
         if message is None:
-            return self.add("warning", text)
+            return self.add("warning", text, topic=topic)
         if message.text == text:
             return message
         new = replace(message, text=text)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from enum import Enum
 from html import escape
 from pathlib import Path
@@ -123,9 +123,9 @@ class MessageBar(_Bar):
         self._open = [other for other in revised if other is not None]
         self._show_open()
 
-    def drop_warnings(self) -> None:
-        """Remove warnings, when their source is closed."""
-        self._keep(lambda message: message.kind == "error")
+    def drop_warnings(self, kept: Container[str]) -> None:
+        """Remove warnings, when their source is closed, except of some topics."""
+        self._keep(lambda message: message.kind == "error" or message.topic in kept)
 
     def drop_topic(self, topic: str) -> None:
         """Remove messages of a topic, after a success."""
