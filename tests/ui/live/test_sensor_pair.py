@@ -161,6 +161,26 @@ def test_both_sensors_are_solved_paused_at_the_same_time_switched_and_placed(ope
     assert of_the_other(bench) == 0
 
 
+def test_a_sensor_that_fails_is_named_once_and_solved_again(open_bench):
+    bench = paired(open_bench)
+    errors = lambda: [m.text for m in bench.window.messages.all if m.kind == "error"]  # noqa: E731
+    for number, name in enumerate(("left", "right")):
+        client = bench.window.controller.clients[number]
+        pipeline, known = client.solver.current.pipeline, len(errors())
+        solve, calls = pipeline.process, []
+
+        def fail(*_, calls=calls):
+            calls.append(_)
+            raise ZeroDivisionError("a bug")
+
+        pipeline.process = fail
+        bench.wait(lambda calls=calls: len(calls) > 5)
+        pipeline.process = solve
+        before = client.result.frame.index
+        bench.wait(lambda client=client, before=before: client.result.frame.index > before + 2)
+        assert errors()[known:] == [f"{name}: ZeroDivisionError: a bug"]
+
+
 def test_disconnected_sensor_is_not_opened_again_with_another_sensor_file(open_bench):
     bench = paired(open_bench)
     bench.click(bench.window.live.leave)

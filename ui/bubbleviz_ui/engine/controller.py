@@ -25,6 +25,7 @@ from bubbleviz_ui.engine.solver import ComparedOptions, Opened, Solved
 from bubbleviz_ui.engine.source import PlacedSensor
 from bubbleviz_ui.engine.worker import Failed, Worker
 from bubbleviz_ui.model.demand import Demand, needed_products, plot_products, pose_products
+from bubbleviz_ui.model.messages import SOURCE
 from bubbleviz_ui.model.registry import PATCH
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import PATCH_SETTINGS, solver_title
@@ -411,7 +412,7 @@ class Controller(QObject):
         self.request_others()
 
     def _on_other_failed(self, failed: Failed) -> None:
-        self.state.messages.add("error", failed.message, failed.details)
+        self.state.messages.add("error", failed.message, failed.details, topic=SOURCE)
 
     def _on_other_solved(self, _: object, newest: bool) -> None:
         """Request the next frame at once: no sensor waits for another.

@@ -67,7 +67,7 @@ class SensorClient(QObject):
     opened_source = Signal(object)  # An `Opened`
     solved = Signal(object, bool)  # A `Solved`; True if it is the newest frame of a live source
     patched = Signal(object)  # `Result` of the shown frame with another patch, or without its pose
-    paused = Signal()  # A live source sent no frame in time
+    paused = Signal()  # A live source sent no frame in time, or one that failed
     failed = Signal(object)  # A `Failed`
     scaled = Signal()  # The frames given to `scale_to` are covered
 
@@ -90,7 +90,7 @@ class SensorClient(QObject):
         self.frames_counted = Throttle(self, self._request_warnings, WARNINGS_EVERY_MS)
         self._warned: Warnings = {}
         self._state = state
-        self._awaiting = False
+        self._awaiting = self._failing = False
         self._imaged_s = 0.0
         self._imaged_frame: Frame | None = None
         self._cold_solved: Frame | None = None
@@ -231,8 +231,21 @@ class SensorClient(QObject):
     # -- answers ------------------------------------------------------------------------------
 
     def _on_failed(self, failed: Failed) -> None:
-        self._awaiting &= failed.key != "newest"
-        self.failed.emit(failed)
+        """Report a failure with the sensor's name; while frames advance, once until one is solved.
+
+        The next frame of a live source is requested as after a pause.
+        """
+        newest = failed.key == "newest"
+        self._awaiting &= not newest
+        repeated = self._failing and self._state.advancing
+        self._failing = newest or failed.key == "frame"
+        if not (repeated and self._failing):
+            # what else is opened in its place has another name
+            opens_other = failed.key == OPEN and self.opened is not None
+            message = failed.message if opens_other else f"{self.prefix}{failed.message}"
+            self.failed.emit(replace(failed, message=message))
+        if newest:
+            self.paused.emit()
 
     def _take_opened(self, opened: Opened) -> None:
         self.session = object()
@@ -298,7 +311,7 @@ class SensorClient(QObject):
         self.solve_rate.tick(now)
         if not at_once:  # else it waited for the other sensor to be drawn
             self._delay.update(now - solved.done_s)
-        self._grow(frame.time_s, solved.outages)
+        self._grow(frame, solved.outages)
         if frame.arrival_ns:
             numbers = replace(numbers, latency_ms=1e-6 * (time.time_ns() - frame.arrival_ns))
         self._remember(frame.index, numbers, solved.demand)
@@ -307,6 +320,7 @@ class SensorClient(QObject):
         self._announce(solved, newest=True)
 
     def _announce(self, solved: Solved, *, newest: bool = False) -> None:
+        self._failing = False
         self.solved.emit(solved, newest)
         self._warn(solved.remark)
         self.frames_counted.request()
@@ -377,11 +391,11 @@ class SensorClient(QObject):
         same_patch = demand.patch_rule == self._state.settings.patch_rule
         self.history.record(index, numbers, patch=same_patch)
 
-    def _grow(self, time_s: float, outages: tuple[Gap, ...]) -> None:
-        """Append a frame of a live source."""
-        count = self.facts.frames + 1
+    def _grow(self, frame: Frame, outages: tuple[Gap, ...]) -> None:
+        """Append a frame of a live source, after those that failed since the last one."""
+        known, count = self.facts.frames, frame.index + 1
         times = grown(self.facts.times_s, count, np.nan)
-        times[-1] = time_s
+        times[known:] = frame.time_s
         self.facts = replace(self.facts, times_s=times, outages=outages)
         self.history.grow(count)
 
