@@ -62,7 +62,7 @@ class Menus(QObject):
     def close(self) -> None:
         """Stop an import."""
         self.importing.cancel()
-        self.importing.close()
+        self.importing.close(0.0)
 
     # -- dialogs ------------------------------------------------------------------------------
 

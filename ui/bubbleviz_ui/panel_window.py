@@ -26,7 +26,7 @@ from bubbleviz_ui.engine.controller import Controller
 from bubbleviz_ui.engine.hover import Hover
 from bubbleviz_ui.engine.solver import Opened
 from bubbleviz_ui.engine.upkeep import MemoryRelease
-from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.engine.worker import Failed, Worker, wait_until_ended
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
@@ -201,15 +201,17 @@ class PanelWindow(QMainWindow):
         """Stop timers and threads, then release VTK."""
         self._rates_timer.stop()
         self.state.blockSignals(True)  # receivers are being deleted
-        self.calibration.close_all()
+        self.calibration.calibration.close()
         self.exporting.close()
         for worker in (self.reading, self.compare.other.worker):
             worker.cancel()
-            worker.close()
+            worker.close(0.0)
         self._memory.close()
         self.undo_stack.clear()  # steps keep references to what they change
         self.live_controller.close()
         self.controller.close()
+        wait_until_ended()
+        self.calibration.remove_files()
         self.view.close()
         super().closeEvent(event)
 

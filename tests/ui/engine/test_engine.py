@@ -1,5 +1,6 @@
 """Worker threads, memory and signals of the window."""
 
+import gc
 import signal
 import sys
 import threading
@@ -22,10 +23,11 @@ from bubbleviz.membrane import mesh_cap, spherical_cap
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.progress import Cancelled
 from bubbleviz.result import Estimate, FineContact
+from bubbleviz_ui.engine.sensor_client import SensorClient
 from bubbleviz_ui.engine.solver import EstimateCache, Kept, OpenRequest, Solver
 from bubbleviz_ui.engine.source import Source
 from bubbleviz_ui.engine.upkeep import EXIT_CODE, Interrupt, MemoryRelease
-from bubbleviz_ui.engine.worker import KEYS, Deferred, Failed, Worker
+from bubbleviz_ui.engine.worker import CLOSE_TIMEOUT_S, KEYS, Deferred, Failed, Worker
 from bubbleviz_ui.model.demand import Demand
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.source_facts import SourceFacts
@@ -269,6 +271,40 @@ def test_second_close_waits_for_a_function_that_exceeded_the_timeout(qtbot):
     assert ended.is_set()
     QCoreApplication.processEvents()
     assert not came  # what waited is dropped
+
+
+def test_a_sensor_whose_thread_ends_late_is_deleted_then(qtbot, wait):
+    application, go_on = QCoreApplication.instance(), Event()
+    client = SensorClient(SessionState())
+    client.worker.submit(go_on.wait, key="open")
+    assert not client.close(0.0)
+    kept = weakref.ref(client)
+    del client
+    gc.collect()
+    assert kept() is not None
+    go_on.set()
+    wait(lambda: not application.findChildren(Worker))
+    gc.collect()
+    assert kept() is None
+
+
+def test_closing_asks_all_threads_to_end_before_it_waits_for_any(drive):
+    """An import that ends only when the source is closed, in another thread."""
+    began, closed, seen = Event(), Event(), list[bool]()
+
+    class Closing(DentSource):
+        def close(self):
+            closed.set()
+
+    def import_all():
+        began.set()
+        seen.append(closed.wait(0.5 * CLOSE_TIMEOUT_S))
+
+    driver = drive(Closing)
+    driver.window.menus.importing.submit(import_all)
+    assert began.wait(60.0)
+    driver.window.close_without_asking()
+    assert seen == [True]
 
 
 def test_frame_beyond_the_end_opens_at_the_last(sensor):

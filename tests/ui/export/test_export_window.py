@@ -18,6 +18,7 @@ from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import LoopedSource, default_press
 from bubbleviz_ui.engine.source import Source
+from bubbleviz_ui.engine.worker import wait_until_ended
 from bubbleviz_ui.export import export_dialog, exporting as video_export
 from bubbleviz_ui.export.export_dialog import ExportDialog
 from bubbleviz_ui.export.exporting import TOPIC
@@ -164,6 +165,7 @@ def test_export_series_and_plots_and_cancelled_exports_leave_nothing(bench, tmp_
         assert not dialog.cancel.isVisible() and dialog.export.isEnabled()
     bench.seek(9)
     bench.window.exporting.close()
+    wait_until_ended()
     assert not list(cancelled.iterdir()) and bench.state.frame == 9
 
 
@@ -221,6 +223,7 @@ def test_video_contains_each_readable_frame_of_the_range_with_its_caption(
     bench.wait(lambda: not bench.window.exporting.busy)
     assert "frame 3 cannot be read" in bench.message_text
     bench.window.exporting.close()
+    wait_until_ended()
     assert not list(empty.iterdir())
 
 

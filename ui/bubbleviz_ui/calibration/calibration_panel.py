@@ -163,9 +163,8 @@ class CalibrationPanel(QWidget):
         self._unsaved_sensor = load_sensor(path).model_copy(update=named)
         return self._unsaved_sensor
 
-    def close_all(self) -> None:
-        """Stop the threads and remove temporary files."""
-        self.calibration.close()
+    def remove_files(self) -> None:
+        """Remove temporary files, once no thread reads them."""
         for folder in self._folders:
             folder.cleanup()
 

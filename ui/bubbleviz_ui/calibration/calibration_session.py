@@ -185,10 +185,10 @@ class Calibration(QObject):
         self.changed.emit()
 
     def close(self) -> None:
-        """Close the source and stop the thread."""
+        """Close the source, and ask the thread to end."""
         self._worker.cancel()
         self._worker.submit(self._bench.close)
-        self._worker.close()
+        self._worker.close(0.0)
 
     def _run(self, job: Callable[[Progress], Any], then: Callable[[Any], None]) -> None:
         """Run a job in place of the running one."""

@@ -141,7 +141,6 @@ class Controller(QObject):
         self.state = state
         self.clients = [SensorClient(state)]  # Of the sensors that are open together
         self.chosen = 0  # Number of the one shown by the panels
-        self._ending: list[SensorClient] = []
         self.opening = Opening(state, lambda request: self.client.open(request))
         self.analysis = Analysis(state, lambda: self.client)
         self.player = Player(state)
@@ -199,11 +198,11 @@ class Controller(QObject):
         return self.opening.sensor
 
     def close(self) -> None:
-        """Stop playback and the solver thread."""
+        """Stop playback, and ask the solver threads to end."""
         self.player.close()
         self._cold_solve_timer.stop()
-        for client in (*self.clients, *self._ending):
-            client.close()
+        for client in self.clients:
+            client.close(0.0)
 
     def set_object(
         self,
@@ -282,8 +281,9 @@ class Controller(QObject):
         """
         first = self.client
         self._listen(on=False)
-        ended = [*self._ending, *(each for each in self.clients if each is not first)]
-        self._ending = [each for each in ended if not each.close(0.0)]
+        for client in self.clients:
+            if client is not first:
+                client.close(0.0)
         self.clients = [first, *(SensorClient(self.state) for _ in group[1:])]
         self.chosen, self.opening.group = 0, group
         first.name = ""

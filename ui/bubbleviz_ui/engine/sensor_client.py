@@ -74,7 +74,7 @@ class SensorClient(QObject):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.solver = Solver()  # Used in the worker's thread
-        self.worker = Worker("solver", KEYS, self.solver.close)
+        self.worker = Worker("solver", KEYS, self._close_source)
         self.dropped = 0  # Requests replaced by a newer one before they ran
         self.session = object()  # Identity of the open source
         self.opened: Opened | None = None  # None before the first source
@@ -120,11 +120,14 @@ class SensorClient(QObject):
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """End the solver thread; returns as `Worker.close`.
 
-        Until it has ended, keep this object: the thread may hold the last other reference, and
-        would delete its timer.
+        Until it has ended, the application keeps the worker, and that this object: the thread may
+        hold the last other reference, and would delete its timer.
         """
         self.frames_counted.stop()
         return self.worker.close(timeout_s)
+
+    def _close_source(self) -> None:
+        self.solver.close()
 
     def open(self, request: OpenRequest) -> None:
         """Open a source in place of the current one."""

@@ -112,9 +112,9 @@ class MemoryRelease(QObject):
         state.source_changed.connect(self._on_source)
 
     def close(self) -> None:
-        """Stop the timer and the thread."""
+        """Stop the timer, and ask the thread to end."""
         self._timer.stop()
-        self._worker.close()
+        self._worker.close(0.0)
 
     def _on_changed(self) -> None:
         self._unchanged = 0

@@ -24,7 +24,7 @@ KEYS = (
 """Jobs of the solver thread, most urgent first."""
 PROGRESS_EVERY_S = 0.05
 CLOSE_TIMEOUT_S = 10.0
-"""How long closing a window waits for a step that cannot be interrupted."""
+"""How long closing a window waits for steps that cannot be interrupted."""
 
 
 class Deferred(Exception):  # noqa: N818 - not an error
@@ -163,14 +163,20 @@ class Worker(QObject):
         if self._executor is None:
             return True
         if self._end is None:
-            self._end = self._executor.submit(self._at_end)
+            self._end = self._executor.submit(self._finish)
         ended = bool(wait([self._end], timeout_s).done)
         self._executor.shutdown(wait=ended)
-        if not ended:  # else the thread, holding the last reference, would delete this object
-            self.setParent(QCoreApplication.instance())
+        # until then the thread, holding the last reference, would delete this object
+        self.setParent(None if ended else QCoreApplication.instance())
         return ended
 
     # -- in the thread ------------------------------------------------------------------------
+
+    def _finish(self) -> None:
+        try:
+            self._at_end()
+        finally:
+            self._ready.emit(self.close)
 
     def _rank(self, job: _Job) -> int:
         return self._keys.index(job.key) if self._keys else 0
@@ -259,3 +265,10 @@ class Worker(QObject):
             job.then(answer)
         else:
             job.discard(answer)
+
+
+def wait_until_ended(timeout_s: float = CLOSE_TIMEOUT_S) -> None:
+    """Wait for all workers that were closed but had not ended."""
+    application, end_s = QCoreApplication.instance(), time.monotonic() + timeout_s
+    for worker in [] if application is None else application.findChildren(Worker):
+        worker.close(max(end_s - time.monotonic(), 0.0))

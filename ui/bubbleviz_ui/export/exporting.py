@@ -295,9 +295,9 @@ class Exporting(QObject):
             self.changed.emit()
 
     def close(self) -> None:
-        """Stop, and wait for the thread."""
+        """Stop, and ask the thread to end."""
         self._worker.cancel()
-        self._worker.close()
+        self._worker.close(0.0)
         self._end_video()
 
     def _end_video(self) -> None:

@@ -63,10 +63,7 @@ class Connection(QObject):
     def cancel(self) -> None:
         """Stop connecting; no signal is emitted any more."""
         self._worker.cancel()
-
-    def wait(self, timeout_s: float) -> None:
-        """Wait until the thread has ended."""
-        self._worker.close(timeout_s)
+        self._worker.close(0.0)
 
     def text(self) -> str:
         """Progress text."""

@@ -152,17 +152,10 @@ class LiveController(QObject):
         self._undo.push("gas pressure zero", apply, False, True)
 
     def close(self) -> None:
-        """Stop everything; a recording is complete when this returns.
-
-        If the disk is slower than the timeout of a closing window, it is complete when the process
-        ends.
-        """
-        connection = self.connection
+        """Stop everything; a recording is complete when the threads have ended."""
         self.disconnect_all()
         self.publishing.close()
-        self._worker.close()
-        if connection is not None:
-            connection.wait(5.0)
+        self._worker.close(0.0)
 
     # -- inside -------------------------------------------------------------------------------
 

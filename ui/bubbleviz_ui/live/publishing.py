@@ -80,9 +80,9 @@ class Publishing(QObject):
             return self._publisher is not None and self._publisher.is_subscribed(topic, kind)
 
     def close(self) -> None:
-        """Stop, and wait for the thread."""
+        """Stop, and ask the thread to end."""
         self.stop()
-        self._worker.close()
+        self._worker.close(0.0)
 
     def _on_refused(self, failed: Failed) -> None:
         self.stop()
