@@ -7,9 +7,10 @@ import pytest
 from fakes import DentSource
 from PySide6.QtCore import QObject, QUrl, Slot
 from PySide6.QtGui import QDesktopServices
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QWidget
 from window_driver import clipboard_text
 
+from bubbleviz_ui.model.messages import Messages
 from bubbleviz_ui.session_files.session_file import read_user_file
 from bubbleviz_ui.shell import message_bars
 from bubbleviz_ui.shell.text_dialogs import MessagesDialog
@@ -135,6 +136,27 @@ def test_notice_messages_and_hint_by_clicks(drive, desktop, tmp_path, monkeypatc
     assert not hint.isVisible()
     driver.trigger("Help › First steps")
     assert hint.isVisible()
+
+
+def test_a_count_that_grows_moves_neither_the_list_nor_its_selection(qtbot):
+    owner = QWidget()
+    qtbot.addWidget(owner)
+    messages = Messages(owner)
+    shown = messages.revise({}, {"depth": "1 frame contradicts"}, "")
+    for number in range(60):
+        messages.add("notice", f"Saved {number}.csv")
+    dialog = MessagesDialog(owner, messages)
+    dialog.show()
+    text, bar = dialog.text, dialog.text.verticalScrollBar()
+    assert text.find("Saved 20.csv")
+    bar.setValue(15)
+    for count in ("11 frames contradict", "112 frames contradict"):
+        shown = messages.revise(shown, {"depth": count}, "")
+    assert "warning\t112 frames contradict\n" in text.toPlainText()
+    assert "1 frame c" not in text.toPlainText()
+    assert (bar.value(), text.textCursor().selectedText()) == (15, "Saved 20.csv")
+    messages.revise(shown, {}, "")  # it does not hold any more, but did
+    assert "112 frames contradict" in text.toPlainText()
 
 
 class SlowOpener:

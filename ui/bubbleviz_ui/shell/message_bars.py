@@ -54,7 +54,9 @@ class ScrolledText(QScrollArea):
         return self._label.text()
 
     def setText(self, text: str) -> None:
-        """Show a text."""
+        """Show a text, unless it is shown."""
+        if text == self._label.text():
+            return
         self._label.setText(text)
         self.setToolTip(f"<p>{escape(text)}</p>")  # HTML is wrapped
         self.updateGeometry()

@@ -41,7 +41,7 @@ class TextDialog(QDialog):
         super().__init__(parent)
         self.setWindowTitle(title)
         resize_on_screen(self, *SIZE)
-        self.text = QPlainTextEdit(readOnly=True)
+        self.text = QPlainTextEdit(readOnly=True, undoRedoEnabled=False)
         self.copy = push_button(
             "&Copy all", copied, lambda: QApplication.clipboard().setText(self.report())
         )
@@ -60,9 +60,9 @@ class MessagesDialog(TextDialog):
         super().__init__(parent, "Messages of this session", copied)
         self._messages = messages
         self.text.setPlaceholderText("No messages yet")
-        self._write()
+        self.text.setPlainText("\n".join(message.line() for message in messages.all))
         messages.added.connect(self._add)
-        messages.revised.connect(self._write)
+        messages.revised.connect(self._revise)
 
     def report(self) -> str:
         """All messages with their details."""
@@ -71,8 +71,12 @@ class MessagesDialog(TextDialog):
     def _add(self, message: UserMessage) -> None:
         self.text.appendPlainText(message.line())
 
-    def _write(self) -> None:
-        self.text.setPlainText("\n".join(message.line() for message in self._messages.all))
+    def _revise(self, message: UserMessage, new: UserMessage | None) -> None:
+        """Replace one line, which moves neither the view nor the selection."""
+        case = QTextDocument.FindFlag.FindCaseSensitively
+        line = self.text.document().find(message.line(), 0, case)
+        if new is not None and not line.isNull():
+            line.insertText(new.line())
 
 
 class InformationDialog(TextDialog):
