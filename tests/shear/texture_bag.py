@@ -13,8 +13,9 @@ from tests.recordings.bagmaker import PERIOD, START, BagMaker
 from tests.shear.drag import NOISE, sensor, stuck
 
 PRESS = "puck", 0.004, 0.001, 8.0
-FRAMES, TOUCHED, HELD = 28, 18, 23
-"""Contact begins and the hold, in which the membrane is in equilibrium."""
+FRAMES, TOUCHED, HELD = 40, 30, 35
+"""Contact begins, after more than `COLLECTED` images without it, and the hold, in which the
+membrane is in equilibrium."""
 
 
 @cache
