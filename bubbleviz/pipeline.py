@@ -334,7 +334,7 @@ class Pipeline:
             default = f" (the default, as sensor {self.model.sensor.name} has no prestretch)"
             raise InputError(
                 f"solver {self.options.solver or self.estimator.solver_name + default}: "
-                "cannot estimate shear; choose --solver rubber"
+                "cannot estimate shear; choose solver rubber (--solver)"
             )
         assert isinstance(bubble, RubberBubble)
         return bubble

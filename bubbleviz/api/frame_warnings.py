@@ -110,7 +110,8 @@ class FrameWarnings:
                 "unconfirmed",
                 f"{count_of(misfits, 'frame')} did not fit the sensor file, and none of the other "
                 f"{count - misfits:,} solved is contact-free to confirm the file, so forces in "
-                "them may be wrong: check the file against contact-free frames (bubbleviz check)",
+                "them may be wrong: check the file against contact-free frames (bubbleviz check), "
+                "or identify the sensor again",
             )
         if (noise := self._zeros.image.noise) > UPPER_95:  # which weakens the evidence of contact
             yield (
@@ -134,8 +135,8 @@ class FrameWarnings:
             yield (
                 "colour",
                 f"colour contradicts depth in {count_of(by_depth_only, 'frame')}, which were "
-                "solved by depth alone; their stamps may be of different moments. Give the delay "
-                "of colour (--colour-delay)",
+                "solved by depth alone; their stamps may be of different moments. Set the colour "
+                "delay (--colour-delay; window: Sensor panel)",
             )
 
     def _friction_warning(self, found: np.ndarray) -> str:
@@ -144,8 +145,9 @@ class FrameWarnings:
         frictionless = self._pipeline.estimator.solver_name in (LINEAR, PAPER)
         if frictionless and friction and self._pipeline.options.friction_given:
             return (
-                f"the linear membrane has no friction, so --friction {friction:g} changes nothing; "
-                "leave it out, or choose a sensor file with a pre-stretch (and no --solver)"
+                "the linear membrane has no friction, so the expected coefficient of friction "
+                f"(--friction {friction:g}) changes nothing; leave it out, or choose a sensor file "
+                "with a pre-stretch and the default solver"
             )
         over = found[found > friction]
         if not over.size:
@@ -153,7 +155,7 @@ class FrameWarnings:
         return (
             f"friction in {count_of(over.size, 'frame')} is at least {over.max():.2g} of the "
             f"normal force, more than the expected coefficient of {friction:.2g}, so the estimate "
-            "of friction is too small: expect more (--friction)"
+            "of friction is too small: expect more (--friction; window: Compare panel)"
         )
 
     def _contact_warning(self, facts: np.ndarray) -> str:

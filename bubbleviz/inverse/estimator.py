@@ -165,7 +165,7 @@ class Estimator:
             raise InputError(
                 f"the mesh of the sensor file has {len(self.mesh.nodes):,} nodes, more than "
                 f"{MAX_NODES:,}; coarsen it (membrane.nodes, or its mesh file), or identify the "
-                "sensor again, with --nodes 1000"
+                "sensor again, with 1000 nodes (--nodes)"
             )
         self.observer, self.bubble = observer, bubble
         self.options = options or EstimatorOptions()

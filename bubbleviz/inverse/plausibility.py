@@ -47,9 +47,9 @@ STATUS_REASONS: Mapping[Status, str] = MappingProxyType(
     {
         "no_data": "too few depth pixels lie on the membrane, or too few on the contact for the "
         "mesh there; uncover the camera, coarsen the mesh (membrane.nodes), check the sensor "
-        "file, or see bubbleviz info for damaged images",
+        "file, or see the information on damaged images (bubbleviz info; window: File menu)",
         "not_converged": "the solver did not converge; look at the residual in the window, or try "
-        "another --solver",
+        "another solver (--solver)",
         "implausible": "depths do not fit this membrane; an object may hide it, or the press may "
         "be too deep to solve; otherwise check sensor file and unit of depth",
     }

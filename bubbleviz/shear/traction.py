@@ -10,8 +10,8 @@ from bubbleviz.result import Result, Traction, TractionStatus
 NO_REFERENCE = "no contact-free reference images"
 NO_TEXTURE = "no flow on most of the contact: no texture there, or it could not be matched"
 CONTRADICTS = (
-    "the colour image contradicts the depth image, as one of another moment does; see "
-    "--colour-delay"
+    "the colour image contradicts the depth image, as one of another moment does; set the colour "
+    "delay (--colour-delay; window: Sensor panel)"
 )
 NO_FRICTION = "the expected coefficient of friction is 0"
 

@@ -231,8 +231,8 @@ def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, senso
     rubber = changed(bv.load_sensor(sensor), membrane={"prestretch": 1.2})
     for solver, friction in (("linear", 0.5), ("fast", 1.0), ("paper", 0.5)):
         warning = bv.estimate(frames[:2], sensor, friction=friction, solver=solver).warning
-        assert f"--friction {friction:g} changes nothing" in warning
-    said = "--friction 0.5 changes nothing"
+        assert f"(--friction {friction:g}) changes nothing" in warning
+    said = "(--friction 0.5) changes nothing"
     assert said in bv.track(frames, "cylinder", sensor, friction=0.5).warning
     for other, friction in ((sensor, None), (sensor, 0.0), (rubber, 0.5)):
         assert said not in (bv.estimate(frames[:2], other, friction=friction).warning or "")

@@ -270,7 +270,7 @@ def test_contact_needs_the_gauge_pressure(sphere):
 def test_a_mesh_finer_than_the_noise_can_use_is_refused():
     """Before anything is computed on it."""
     mesh = SimpleNamespace(nodes=np.zeros((MAX_NODES + 1, 3)))
-    with pytest.raises(InputError, match="identify the sensor again, with --nodes 1000"):
+    with pytest.raises(InputError, match="identify the sensor again, with 1000 nodes"):
         Estimator(SimpleNamespace(mesh=mesh), SimpleNamespace())
 
 

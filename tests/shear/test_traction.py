@@ -223,6 +223,6 @@ def test_sigma_of_the_torque_grows_with_the_lever():
 
 def test_the_linear_membrane_is_refused_in_one_sentence():
     pipeline = Pipeline.of(sensor(200), options=EstimatorOptions("linear"))
-    expected = "solver linear: cannot estimate shear; choose --solver rubber"
+    expected = "solver linear: cannot estimate shear; choose solver rubber"
     with pytest.raises(InputError, match=expected):
         pipeline.prepare(frozenset({"traction"}))
