@@ -172,7 +172,7 @@ class FrameWarnings:
             causes.append("the camera drifted")
             remedies.append("let the camera warm up, check that it is fixed")
         gas = self._zeros.gas
-        if _measured_pa(facts) is None or (gas is not None and gas.frozen):
+        if not _measured_pa(facts).size or (gas is not None and gas.frozen):
             causes.append("the gas pressure, which is not measured, does not follow the gas law")
             remedies.append("record the gas pressure, check chamber_volume_m3")
         else:
@@ -192,8 +192,9 @@ class FrameWarnings:
         # one image alone may show an object too shallow to be found
         if len(errors) < (1 if facts["errors_known"].any() else 2):
             return ""
-        measured = _measured_pa(facts) is not None
-        return drift_warning(np.median(errors, axis=0), self._pipeline, gas_measured=measured)
+        median = np.median(errors, axis=0, overwrite_input=True)
+        measured = _measured_pa(facts).size > 0
+        return drift_warning(median, self._pipeline, gas_measured=measured)
 
     def _gas_warning(self, facts: np.ndarray) -> str:
         """Warning if the gas pressure contradicts the sensor file, or never changes; else empty."""
@@ -201,14 +202,16 @@ class FrameWarnings:
         if zero is not None and zero.frozen:
             return zero.frozen_warning(where) if facts["ok"].any() else ""
         if zero is None or zero.rest_pa is None:
-            return gas_warning(_measured_pa(facts), known_pa, f"in the {where}")
+            measured_pa = _measured_pa(facts)
+            median_pa = float(np.median(measured_pa)) if measured_pa.size else None
+            return gas_warning(median_pa, known_pa, f"in the {where}")
         return gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
 
 
-def _measured_pa(facts: np.ndarray) -> float | None:
-    """Median of the measured gas pressures, Pa; None if there are none."""
-    measured = facts["gas_pressure_pa"][~np.isnan(facts["gas_pressure_pa"])]
-    return float(np.median(measured)) if measured.size else None
+def _measured_pa(facts: np.ndarray) -> np.ndarray:
+    """Measured gas pressures, Pa."""
+    pressures_pa: np.ndarray = facts["gas_pressure_pa"]
+    return pressures_pa[~np.isnan(pressures_pa)]
 
 
 def _least_friction(result: Result) -> float:
