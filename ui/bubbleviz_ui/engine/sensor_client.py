@@ -120,8 +120,8 @@ class SensorClient(QObject):
     def close(self, timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
         """End the solver thread; returns as `Worker.close`.
 
-        Until it has ended, the application keeps the worker, and that this object: the thread may
-        hold the last other reference, and would delete its timer.
+        Until it has ended, the application keeps the worker, which keeps this object: the thread
+        may hold the last other reference, and would delete its timer.
         """
         self.frames_counted.stop()
         return self.worker.close(timeout_s)
@@ -236,11 +236,13 @@ class SensorClient(QObject):
     def _on_failed(self, failed: Failed) -> None:
         """Report a failure with the sensor's name; while frames advance, once until one is solved.
 
-        The next frame of a live source is requested as after a pause.
+        A recording shown by the panels stops at its failure, which is reported each time. The next
+        frame of a live source is requested as after a pause.
         """
         newest = failed.key == "newest"
         self._awaiting &= not newest
-        repeated = self._failing and self._state.advancing
+        stops = self.facts is self._state.facts and not self.facts.grows
+        repeated = self._failing and self._state.advancing and not stops
         self._failing = newest or failed.key == "frame"
         if not (repeated and self._failing):
             # what else is opened in its place has another name
