@@ -63,7 +63,8 @@ class FrameWarnings:
     def take(self, number: int, frame: Frame, result: Result) -> None:
         """Count a frame, as it was measured, if its result has an estimate.
 
-        A frame that is solved again, with the same `number`, counts once.
+        A frame that is solved again, with the same `number`, counts once. Numbers are in order of
+        time.
         """
         estimate, at = result.estimate, number % self._most
         if at >= len(self._facts):
@@ -71,7 +72,7 @@ class FrameWarnings:
             facts[: len(self._facts)] = self._facts
             facts["number"][len(self._facts) :] = -1
             self._facts = facts
-        if estimate is None or self._facts["number"][at] == number:
+        if estimate is None or self._facts["number"][at] >= number:
             return
         known, found = result.frame.image_errors, estimate.image_errors
         # with contact, those found in the image are mixed up with it
@@ -100,18 +101,18 @@ class FrameWarnings:
         yield "file", self._pipeline.model.contradiction
         yield "gas", self._gas_warning(facts)
         yield "camera", _camera_warning(self._pipeline, self._where)
-        misfits, count = int(facts["implausible"].sum()), len(facts)
+        misfits, others = (int(facts[name].sum()) for name in ("implausible", "ok"))
         if self._zeros.rest_frames or not misfits or facts["no_contact"].any():
             pass  # frames without contact fit the sensor file
-        elif misfits == count:
-            yield "fit", f"{_MISFIT} ({count:,} solved); {_OTHER_FILE}"
+        elif not others:
+            yield "fit", f"{_MISFIT} ({misfits:,} solved); {_OTHER_FILE}"
         else:
             yield (
                 "unconfirmed",
-                f"{count_of(misfits, 'frame')} did not fit the sensor file, and none of the other "
-                f"{count - misfits:,} solved is contact-free to confirm the file, so forces in "
-                "them may be wrong: check the file against contact-free frames (bubbleviz check), "
-                "or identify the sensor again",
+                f"{misfits:,} of {misfits + others:,} frames did not fit the sensor file, and no "
+                "contact-free frame confirms it, so forces in the others may be wrong: check the "
+                "file against contact-free frames (bubbleviz check; window: Calibration panel), or "
+                "identify the sensor again",
             )
         if (noise := self._zeros.image.noise) > UPPER_95:  # which weakens the evidence of contact
             yield (

@@ -297,7 +297,7 @@ def test_contacts_are_doubted_if_untouched_frames_contradict_the_sensor_file(
     )
     assert set(run.status) == {"implausible", "ok"}
     misfits = list(run.status).count("implausible")
-    assert f"{misfits} frames did not fit the sensor file" in run.warning
+    assert f"{misfits} of {len(run)} frames did not fit the sensor file" in run.warning
     assert "did not fit the sensor file" not in (estimated.warning or "")
 
 

@@ -210,8 +210,8 @@ class PanelWindow(QMainWindow):
         self.undo_stack.clear()  # steps keep references to what they change
         self.live_controller.close()
         self.controller.close()
-        wait_until_ended()
-        self.calibration.remove_files()
+        if wait_until_ended():  # else they are removed when the process ends
+            self.calibration.remove_files()
         self.view.close()
         super().closeEvent(event)
 

@@ -41,10 +41,11 @@ class Bench(Driver):
         self.click(self.panel.steps.button(number))
 
     def identify(self):
-        before = len(self.window.messages.all)  # e.g. that the sensor file does not match
+        before = len(self.window.messages.all)
         self.click(self.panel.next)
         self.click(self.panel.all)
-        assert {m.kind for m in list(self.window.messages.all)[before:]} <= {"notice"}
+        # a warning that the sensor file does not match may come at any time
+        assert "error" not in {m.kind for m in list(self.window.messages.all)[before:]}
 
     def collect(self, count):
         """Collect live frames and wait for the results."""

@@ -256,7 +256,7 @@ class SensorClient(QObject):
         self.session = object()
         self.opened, self.facts, self.demand = opened, opened.facts, opened.request.demand
         self.history = FrameHistory(opened.facts.frames)
-        self._awaiting = False
+        self._awaiting = self._failing = False
         self.result, self.inspection = opened.result, _inspection(opened.result)
         self._cold_solved = None
         self._shown_demand = self.demand.without_images()
@@ -325,7 +325,8 @@ class SensorClient(QObject):
         self._announce(solved, newest=True)
 
     def _announce(self, solved: Solved, *, newest: bool = False) -> None:
-        self._failing = False
+        if newest or not self.facts.grows:  # else an earlier frame, while the newest ones fail
+            self._failing = False
         self.solved.emit(solved, newest)
         self._warn(solved.remark)
         self.frames_counted.request()

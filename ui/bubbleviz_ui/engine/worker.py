@@ -166,7 +166,7 @@ class Worker(QObject):
             self._end = self._executor.submit(self._finish)
         ended = bool(wait([self._end], timeout_s).done)
         self._executor.shutdown(wait=ended)
-        # until then the thread, holding the last reference, would delete this object
+        # a running thread may hold the last reference and would delete this object
         self.setParent(None if ended else QCoreApplication.instance())
         return ended
 
@@ -267,8 +267,9 @@ class Worker(QObject):
             job.discard(answer)
 
 
-def wait_until_ended(timeout_s: float = CLOSE_TIMEOUT_S) -> None:
-    """Wait for all workers that were closed but had not ended."""
+def wait_until_ended(timeout_s: float = CLOSE_TIMEOUT_S) -> bool:
+    """Wait for all workers that were closed but had not ended; whether they now have."""
     application, end_s = QCoreApplication.instance(), time.monotonic() + timeout_s
-    for worker in [] if application is None else application.findChildren(Worker):
-        worker.close(max(end_s - time.monotonic(), 0.0))
+    workers = [] if application is None else application.findChildren(Worker)
+    ended = [worker.close(max(end_s - time.monotonic(), 0.0)) for worker in workers]
+    return all(ended)

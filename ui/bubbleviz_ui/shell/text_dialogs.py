@@ -73,8 +73,11 @@ class MessagesDialog(TextDialog):
 
     def _revise(self, message: UserMessage, new: UserMessage | None) -> None:
         """Replace one line, which moves neither the view nor the selection."""
-        case = QTextDocument.FindFlag.FindCaseSensitively
-        line = self.text.document().find(message.line(), 0, case)
+        flags, document = QTextDocument.FindFlag, self.text.document()
+        back, old = flags.FindBackward | flags.FindCaseSensitively, message.line()
+        line = document.find(old, document.characterCount(), back)
+        while not line.isNull() and line.block().text() != old:  # begins or ends like it
+            line = document.find(old, line, back)
         if new is not None and not line.isNull():
             line.insertText(new.line())
 
