@@ -313,13 +313,18 @@ def track(
         run.context["object"] = obj.name if isinstance(object, RigidObject) else str(object)
         frame_solver = FrameSolver(pipeline, frozenset({"patch"}), zeros=zeros)
         ambiguous: list[tuple[int, Pose]] = []
+        contradicted: list[tuple[float, float]] = []
         for result in with_poses(_results(chosen, frame_solver, progress), pipeline, progress):
             if object_patch:
                 result = pipeline.extended(result, "object_patch")
             run.add(result, keep=out is None)
-            if result.pose is not None and result.pose.status == "ok" and len(result.pose.others):
-                ambiguous.append((result.frame.index, result.pose))
-        run.warn(chosen.note, *frame_solver.warnings(), _other_poses(ambiguous))
+            pose = result.pose
+            if pose is not None and pose.status == "ok" and len(pose.others):
+                ambiguous.append((result.frame.index, pose))
+            if pose is not None and pose.status == "ok" and pose.contradicted:
+                contradicted.append((pose.apart_m, pose.largest_apart_m))
+        told = (*frame_solver.warnings(), _other_poses(ambiguous), _other_object(contradicted))
+        run.warn(chosen.note, *told)
         _check_any_pose(run)
     if out is not None:
         run.save_poses(out, overwrite=overwrite)
@@ -506,6 +511,22 @@ _REASONS: dict[PoseStatus, str] = {
     "the unit of depth, and uncover the camera",
     "lost": "the object does not fit the contact; check --object, --unit and --init",
 }
+
+
+def _other_object(contradicted: list[tuple[float, float]]) -> str:
+    """What to do where the contact is farther from the object than errors explain; else empty.
+
+    `contradicted`: `Pose.apart_m` and `Pose.largest_apart_m` of these frames.
+    """
+    if not contradicted:
+        return ""
+    apart_m, largest_m = max(contradicted, key=lambda each: each[0] / each[1])
+    return (
+        f"in {count_of(len(contradicted), 'frame')} the contact is up to {1e3 * apart_m:.2f} mm "
+        f"(rms) off the object, more than errors explain ({1e3 * largest_m:.2f} mm):"
+        " the pose may be wrong, or the object another one, or narrower than the sensor resolves. "
+        "Check the object and its unit (--object, --unit), or give a pose (--init)"
+    )
 
 
 def _other_poses(ambiguous: list[tuple[int, Pose]]) -> str:

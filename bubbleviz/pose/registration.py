@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import chdtri
 
 from bubbleviz.camera import ImageErrors
 from bubbleviz.inverse import at_noise
@@ -55,6 +56,16 @@ class ContactPoints:
     def extent_m(self) -> float:
         """Radius around the centre with 95 % of the contact points: noise puts some far away."""
         return float(np.quantile(np.linalg.norm(self.points - self.center, axis=1), 0.95))
+
+    def apart_m(self, distance_m: np.ndarray) -> float:
+        """Root mean square distance from an object, for those (k,) of the contact points.
+
+        Of the nearest 95 % of the area: noise puts some far away.
+        """
+        order = np.argsort(np.abs(distance_m))
+        area = np.cumsum(self.areas_m2[order])
+        near = order[: np.searchsorted(area, 0.95 * area[-1]) + 1]
+        return float(np.sqrt(np.average(distance_m[near] ** 2, weights=self.areas_m2[near])))
 
     @property
     def width_m(self) -> float:
@@ -179,6 +190,11 @@ both: of 0, 0.24, 0.28 and 0.4 mm the least for which ellipsoids contain at leas
 in each class of 280 simulated tracks. The contact determines a direction if its σ at the patch's
 edge is below the error of one area."""
 
+_ANOTHER_OBJECT = 1e-3
+"""Significance at which the distance of the contact from an object tells that it is another one, or
+in another pose. Right objects are within half of that limit in the 83 frames of `benchmarks poses`
+and `dragged` (--quick); tips that the estimate rounds off exceed it."""
+
 _PARALLEL = np.cos(np.radians(45.0))
 """Membrane that lies on a face is parallel to it, except for the blur of the estimate."""
 
@@ -289,6 +305,13 @@ class Registration:
         """Expected distance of contact points from the object, root mean square."""
         precision = self.precision.at_noise(contact.noise_factor)
         return float(precision.per_area**-0.5 / precision.resolution_m)
+
+    def largest_distance_m(self, contact: ContactPoints) -> float:
+        """Root mean square distance that contact points of this object rarely exceed."""
+        resolution_m = self.precision.at_noise(contact.noise_factor).resolution_m
+        areas = max(float(contact.areas_m2.sum()) / resolution_m**2, 1.0)  # with independent errors
+        ratio = float(chdtri(areas, _ANOTHER_OBJECT)) / areas
+        return self.deviation_m(contact) * ratio**0.5
 
     def at(self, contact: ContactPoints, fit: Fit, T_B_O: np.ndarray) -> Fit:
         """A fit moved to another pose (4, 4)."""

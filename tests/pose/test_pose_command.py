@@ -86,7 +86,17 @@ def test_a_search_lists_the_other_poses_that_fit_as_well(folder, tmp_path):
     assert len(others) >= 2
     for each in (others[0], others[-1]):
         done = run(*command, "--init", each)
-        assert (done.exit_code, done.stderr) == (0, "")
+        assert done.exit_code == 0 and "fit as well" not in done.stderr
+
+
+@pytest.mark.parametrize(("obj", "told"), [("frustum", False), ("hex_nut", True)])
+def test_a_contact_that_is_not_on_the_object_is_told(folder, obj, told):
+    done = run(*command(folder, f"{obj}.csv", obj=obj))
+    assert done.exit_code == 0
+    off = r"contact is up to (\S+) mm \(rms\) off the object, .* \((\S+) mm\)"
+    words = re.search(off, done.stderr)
+    assert bool(words) == told
+    assert not told or float(words[1]) > float(words[2]) > 0.1
 
 
 def test_area_of_the_object_patch_is_an_optional_column(folder, tracked):

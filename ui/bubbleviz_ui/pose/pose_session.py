@@ -78,6 +78,8 @@ def status_text(pose: Pose, touched: bool) -> str:
         return "no contact" + ("; the last good pose is kept" if has_pose(pose) else "")
     if pose.status == "lost" and not has_pose(pose):
         return "no pose tried so far fits; choose a frame pressed deeper, or another object"
+    if pose.status == "ok" and pose.contradicted:
+        return "doubtful: contact and object are farther apart than errors explain; another object?"
     return STATES[pose.status] + (f"; {left} of 6 directions not determined" if left else "")
 
 
