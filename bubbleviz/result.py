@@ -376,11 +376,11 @@ class Pose:
         Contact points and the closest points on the object.
     distance_m : (k,) array
         Signed distance of the contact points from the object, positive outside.
-    apart_m : float
-        Root mean square distance of the nearest 95 % of the contact's area.
-    largest_apart_m : float
-        What errors of the estimate rarely exceed: a larger distance tells that the object is
-        another one, or in another pose, or narrower than the sensor resolves.
+    distance_rms_m : float
+        Root mean square distance from the object, of the nearest 95 % of the contact's area.
+    distance_limit_m : float
+        Limit that errors of the estimate rarely exceed. Beyond it the object is another one, or in
+        another pose, or narrower than the sensor resolves.
     others : (r, 4, 4) array
         Other poses of a search that fit as well, without those in which the object looks the same.
     rejected : Stage or None
@@ -399,15 +399,15 @@ class Pose:
     points_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     places_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     distance_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    apart_m: float = np.nan
-    largest_apart_m: float = np.nan
+    distance_rms_m: float = np.nan
+    distance_limit_m: float = np.nan
     others: np.ndarray = field(default_factory=lambda: np.zeros((0, 4, 4)))
     rejected: Stage | None = None
 
     @property
     def contradicted(self) -> bool:
         """Whether the contact is farther from the object than errors of the estimate explain."""
-        return self.apart_m > self.largest_apart_m
+        return self.distance_rms_m > self.distance_limit_m
 
     def __repr__(self) -> str:
         if self.status != "ok":

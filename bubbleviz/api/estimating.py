@@ -322,7 +322,7 @@ def track(
             if pose is not None and pose.status == "ok" and len(pose.others):
                 ambiguous.append((result.frame.index, pose))
             if pose is not None and pose.status == "ok" and pose.contradicted:
-                contradicted.append((pose.apart_m, pose.largest_apart_m))
+                contradicted.append((pose.distance_rms_m, pose.distance_limit_m))
         told = (*frame_solver.warnings(), _other_poses(ambiguous), _other_object(contradicted))
         run.warn(chosen.note, *told)
         _check_any_pose(run)
@@ -516,14 +516,14 @@ _REASONS: dict[PoseStatus, str] = {
 def _other_object(contradicted: list[tuple[float, float]]) -> str:
     """What to do where the contact is farther from the object than errors explain; else empty.
 
-    `contradicted`: `Pose.apart_m` and `Pose.largest_apart_m` of these frames.
+    `contradicted`: `Pose.distance_rms_m` and `Pose.distance_limit_m` of these frames.
     """
     if not contradicted:
         return ""
-    apart_m, largest_m = max(contradicted, key=lambda each: each[0] / each[1])
+    rms_m, limit_m = max(contradicted, key=lambda each: each[0] / each[1])
     return (
-        f"in {count_of(len(contradicted), 'frame')} the contact is up to {1e3 * apart_m:.2f} mm "
-        f"(rms) off the object, more than errors explain ({1e3 * largest_m:.2f} mm):"
+        f"in {count_of(len(contradicted), 'frame')} the contact is up to {1e3 * rms_m:.2f} mm "
+        f"(rms) off the object, more than errors explain ({1e3 * limit_m:.2f} mm):"
         " the pose may be wrong, or the object another one, or narrower than the sensor resolves. "
         "Check the object and its unit (--object, --unit), or give a pose (--init)"
     )

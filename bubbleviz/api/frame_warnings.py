@@ -102,11 +102,10 @@ class FrameWarnings:
         yield "gas", self._gas_warning(facts)
         yield "camera", _camera_warning(self._pipeline, self._where)
         misfits, others = (int(facts[name].sum()) for name in ("implausible", "ok"))
-        if self._zeros.rest_frames or not misfits or facts["no_contact"].any():
-            pass  # frames without contact fit the sensor file
-        elif not others:
+        confirmed = self._zeros.rest_frames or facts["no_contact"].any()  # the sensor file
+        if misfits and not confirmed and not others:
             yield "fit", f"{_MISFIT} ({misfits:,} solved); {_OTHER_FILE}"
-        else:
+        elif misfits and not confirmed:
             yield (
                 "unconfirmed",
                 f"{misfits:,} of {misfits + others:,} frames did not fit the sensor file, and no "

@@ -123,8 +123,8 @@ class Solver:
             points_m=contact.points,
             places_m=fit.distance.place[:count],
             distance_m=fit.distance.signed_m[:count],
-            apart_m=contact.apart_m(fit.distance.signed_m[:count]),
-            largest_apart_m=self._registration.largest_distance_m(contact),
+            distance_rms_m=contact.rms_distance_m(fit.distance.signed_m[:count]),
+            distance_limit_m=self._registration.distance_limit_m(contact),
         )
         return Solution(pose, fit, motion)
 

@@ -127,6 +127,7 @@ class SensorClient(QObject):
         return self.worker.close(timeout_s)
 
     def _close_source(self) -> None:
+        """As `Solver.close`; a method of this object, so that the worker keeps it."""
         self.solver.close()
 
     def open(self, request: OpenRequest) -> None:
