@@ -71,7 +71,7 @@ class EdgeGrid:
 
 def quick_grid() -> EdgeGrid:
     """Two presses at one noise."""
-    return EdgeGrid(("sphere", EDGE_OBJECTS[-1]), (0.2,), EdgeGrid().noises[:1])
+    return EdgeGrid(("sphere", EDGE_OBJECTS[0]), (0.2,), EdgeGrid().noises[:1])
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,26 +25,28 @@ from bubbleviz.rigid_object import RigidObject
 _COPLANAR = 0.01
 """Share of the largest eigenvalue below which normals at a vertex count as coplanar."""
 _PAIRS = 1 << 18  # of facets at a vertex that are compared at a time
-_TRIES = 4  # times that a radius too large for an object's thinnest part or finest fillet is halved
+_TRIES = 10  # times that a radius too large for a thin part or a fine fillet is halved
 
 
 def core_of(
     obj: RigidObject,  # watertight, counter-clockwise seen from outside
-    radius_m: float,
-) -> tuple[np.ndarray, float]:
-    """Vertices (n, 3) of an object moved inward until its facets are a radius deeper, and that, m.
+    radii: np.ndarray,  # (n,), at the vertices, m
+) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (n, 3) of an object moved inward until its facets are a radius deeper, and radii, m.
 
     Places at the radius from this core are on the object's faces, and on rounded edges between
-    them. The radius is a fraction of the one given, or 0, where the core would turn inside out.
+    them. Where facets of the core would turn inside out, the radius (n,) is a fraction of the one
+    given; facets between vertices of different radii are deeper by what is between these.
     """
-    inward = _inward(obj)
+    inward, radii = _inward(obj), radii.copy()
     vectors = area_vectors(obj.vertices, obj.triangles)
     for _ in range(_TRIES):
-        core = obj.vertices + radius_m * inward
-        if (np.einsum("ij,ij->i", area_vectors(core, obj.triangles), vectors) > 0.0).all():
-            return core, radius_m
-        radius_m *= 0.5
-    return obj.vertices, 0.0
+        core = obj.vertices + radii[:, None] * inward
+        kept = np.einsum("ij,ij->i", area_vectors(core, obj.triangles), vectors) > 0.0
+        if kept.all():
+            return core, radii
+        radii[np.unique(obj.triangles[~kept])] *= 0.5
+    return obj.vertices, np.zeros(len(radii))
 
 
 def _inward(obj: RigidObject) -> np.ndarray:
@@ -126,7 +128,10 @@ class ObjectSurface:
     def __init__(
         self,
         obj: RigidObject,
-        rounding_m: float = 0.0,  # radius of sharp edges; see `rounded_object`
+        # radii of rounding, m, of all edges and of those that turn by more than MOST_TURN_RAD, if
+        # that is larger; smaller where `core_of` says
+        rounding_m: float = 0.0,
+        sharp_m: float = 0.0,
     ) -> None:
         self.obj, self.size_m = obj, float(np.ptp(obj.vertices, axis=0).max())
         vectors = area_vectors(obj.vertices, obj.triangles)
@@ -141,12 +146,16 @@ class ObjectSurface:
         if self.solid and np.einsum("ij,ij->", vectors, corners) < 0.0:
             vectors = -vectors  # normals pointed inward: the signed volume was negative
             triangles = triangles[:, [0, 2, 1]]
-        vertices, self._rounding_m = obj.vertices, 0.0
-        if self.solid and rounding_m > 0.0:
-            vertices, self._rounding_m = core_of(replace(obj, triangles=triangles), rounding_m)
-        self.triangles, self._corners = triangles, vertices[triangles]
-        self._vectors = vectors
+        self.triangles, self._vectors = triangles, vectors
         self.facet_normals = vectors / self.facet_areas[:, None]
+        vertices, rounding = obj.vertices, np.zeros(len(obj.vertices))
+        if self.solid and rounding_m > 0.0:
+            rounding += rounding_m
+            sharp = triangles[self._bends[1] > MOST_TURN_RAD]
+            rounding[sharp] = max(rounding_m, sharp_m)
+            vertices, rounding = core_of(replace(obj, triangles=triangles), rounding)
+        self._corners = vertices[triangles]
+        self._rounding_m = rounding[triangles]  # at the corners of each facet
         self._corner_normals = self._smoothed()
         self._scene = TriangleScene(vertices, triangles)
         self._centre = 0.5 * (obj.vertices.min(axis=0) + obj.vertices.max(axis=0))
@@ -316,9 +325,10 @@ class ObjectSurface:
             sign = np.where(behind, -1.0, 1.0)
             gap = np.where(edge, np.inf, sign * gap)
             return Planes(gap, sign[:, None] * normal, sign[:, None, None] * turn)
-        found = Planes(gap, normal, turn)
+        found, rounding_m = Planes(gap, normal, turn), (weights * self._rounding_m[facet]).sum(1)
         edge &= gap < 0.0
-        self._round(found, np.flatnonzero(beside & (gap >= 0.0)), x, facet, weights)
+        around = np.flatnonzero(beside & (gap >= 0.0))
+        self._round(found, around, x, facet, weights, rounding_m[around])
         if edge.any():
             gap[edge] = np.where(self._scene.contains(x[edge]), -1.0, 1.0) * np.linalg.norm(
                 away[edge], axis=1
@@ -328,10 +338,16 @@ class ObjectSurface:
         if wrong.any():
             gap[wrong], normal[wrong] = self._way_back(x[wrong], out[wrong])
             turn[wrong] = 0.0
-        return found._replace(gap=gap - self._rounding_m)
+        return found._replace(gap=gap - rounding_m)
 
     def _round(
-        self, found: Planes, some: np.ndarray, x: np.ndarray, facet: np.ndarray, weights: np.ndarray
+        self,
+        found: Planes,
+        some: np.ndarray,
+        x: np.ndarray,
+        facet: np.ndarray,
+        weights: np.ndarray,
+        rounding_m: np.ndarray,
     ) -> None:
         """Distances of points outside that are nearest to a side of a facet and not to its plane.
 
@@ -353,14 +369,15 @@ class ObjectSurface:
         away = from_start - np.clip(way, 0.0, length)[:, None] * along
         distance = np.linalg.norm(away, axis=1)
         found.gap[some[kept]] = distance[kept]
-        kept &= (bend > CREASE_RAD) & (distance > max(0.1 * self._rounding_m, _LEAST_M))
+        line = np.where(between[:, None], along, 0.0)
+        line = line[:, :, None] * line[:, None, :]
+        # There the smooth normal only turns along the side.
+        found.turn[some[kept]] = line[kept] @ found.turn[some[kept]] @ line[kept]
+        kept &= (bend > CREASE_RAD) & (distance > np.maximum(0.1 * rounding_m, _LEAST_M))
         some, normal = some[kept], away[kept] / distance[kept, None]
-        plane = np.eye(3) - normal[:, :, None] * normal[:, None, :]
-        line = np.where(between[kept, None], along[kept], 0.0)
-        plane -= line[:, :, None] * line[:, None, :]
-        found.normal[some], found.turn[some] = normal, 0.0
-        if self._rounding_m > 0.0:
-            found.turn[some] = plane / distance[kept, None, None]
+        plane = np.eye(3) - normal[:, :, None] * normal[:, None, :] - line[kept]
+        plane[rounding_m[kept] == 0.0] = 0.0
+        found.normal[some], found.turn[some] = normal, plane / distance[kept, None, None]
 
     @cached_property
     def _bends(self) -> tuple[np.ndarray, np.ndarray]:

@@ -29,10 +29,12 @@ class RubberForward:
         self,
         membrane: RubberMembrane,
         gas: Gas,  # P0 and V0 of the reference configuration
-        rounding_m: float = 0.0,  # radius of rounding of sharp edges of objects, m
+        # radii of rounding of objects' edges, as of `ObjectSurface`, m
+        rounding_m: float = 0.0,
+        sharp_m: float = 0.0,
     ) -> None:
         self.membrane, self.gas, self.mesh = membrane, gas, membrane.mesh
-        self._equilibrium, self._rounding_m = Equilibrium(membrane, gas), rounding_m
+        self._equilibrium, self._radii_m = Equilibrium(membrane, gas), (rounding_m, sharp_m)
         self._linear = ForwardModel(self.mesh, membrane.mean_tension, gas)
         self._surface: ObjectSurface | None = None
 
@@ -71,7 +73,7 @@ class RubberForward:
 
     def _surface_of(self, obj: RigidObject) -> ObjectSurface:
         if self._surface is None or self._surface.obj is not obj:
-            self._surface = ObjectSurface(obj, self._rounding_m)
+            self._surface = ObjectSurface(obj, *self._radii_m)
         return self._surface
 
     def _from_outside(self, surface: ObjectSurface, pose: np.ndarray) -> Solved:

@@ -52,21 +52,28 @@ def refined_press(
     obj: RigidObject,
     T_B_O: np.ndarray,  # (4, 4)
 ) -> tuple[MembraneMesh, RubberContact]:
-    """Press an object; the refined mesh, and the contact, which may not have converged."""
+    """Press an object; the refined mesh, and the contact, which may not have converged.
 
-    def forward_on(mesh: MembraneMesh) -> RubberForward:
+    Edges are first as round as the mesh is coarse, and become sharper as it is refined: an edge
+    that is too sharp for the mesh has many equilibria, between which Newton's method wanders.
+    """
+
+    def forward_on(mesh: MembraneMesh, radius_m: float) -> RubberForward:
         rubber = rubber_on(mesh)
-        return RubberForward(rubber, gas_on(rubber.mesh), EDGE_RADIUS_M)
+        return RubberForward(rubber, gas_on(rubber.mesh), EDGE_RADIUS_M, radius_m)
 
-    surface = ObjectSurface(obj, EDGE_RADIUS_M)
-    forward = forward_on(mesh)
+    roundest_m = max(mesh.edge_length / MOST_TURN_RAD, EDGE_RADIUS_M)
+    radius_m, *radii = np.geomspace(roundest_m, EDGE_RADIUS_M, _MAX_LEVELS + 1).tolist()
+    forward = forward_on(mesh, radius_m)
     contact = forward.press(obj, T_B_O, quick=True)
-    for level in range(_MAX_LEVELS):
+    for level, following_m in enumerate(radii):
+        surface = ObjectSurface(obj, EDGE_RADIUS_M, following_m)
         cut = _to_refine(forward.mesh, contact, surface, T_B_O, everywhere=level == 0)
-        if not cut.any():
+        if not cut.any() and radius_m == EDGE_RADIUS_M:
             break
+        radius_m = following_m if cut.any() else EDGE_RADIUS_M
         finer = refinement(mesh, cut)
-        mesh, forward = finer.mesh, forward_on(finer.mesh)
+        mesh, forward = finer.mesh, forward_on(finer.mesh, radius_m)
         start = finer.values(contact.displacement_3d_m), finer.values(contact.contact_pressure_pa)
         contact = forward.press(obj, T_B_O, start, quick=True)
     if not contact.converged:

@@ -1,17 +1,28 @@
-"""A sharp-edged object pressed in, against the meridian's equations."""
+"""Objects with edges pressed in: a rod against the meridian's equations, fillets, sharp edges."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bubbleviz.membrane import RubberForward, RubberMembrane, mesh_cap
 from bubbleviz.rigid_object import load_object
-from bubbleviz.simulation import EDGE_RADIUS_M, refined_press
+from bubbleviz.sensor import load_sensor
+from bubbleviz.sensor_model import SensorModel
+from bubbleviz.simulation import (
+    EDGE_RADIUS_M,
+    RubberPresses,
+    presses as presses_of,
+    refined_press,
+    rubber_sensor,
+    study_object,
+)
 from tests.membrane.domes import CAP, GAUGE, TENSION, A, H, force, gas_of, pose
 from tests.oracles.rubber_oracle import AxialRubber
 
 ROD = 0.012  # radius of the preset cylinder
+ELL = str(Path(__file__).parents[2] / "benchmarks/objects/ell.ply")
 
 
 def rubber(mesh):
@@ -35,3 +46,16 @@ def test_sharp_end_of_a_rod_on_the_axis():
     even = RubberForward(rubber(mesh), gas_of(mesh)).press(obj, there)
     assert even.converged
     assert force(even) < narrow.force_n
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["frustum", ELL])
+def test_edges_on_a_mesh_for_simulation_have_an_equilibrium(name):
+    """Nodes 3.4 mm apart at first; a coarse fillet, and sharp edges at a thin far end."""
+    model = SensorModel.of(rubber_sensor(load_sensor("pico_flexx_75mm")))
+    presses, obj = RubberPresses.of(model), study_object(name)
+    (press,) = presses_of((name,), (0.010,))
+    _, contact = presses.solved(obj, press.pose(presses.mesh, 7))
+    assert contact.converged
+    assert contact.balance_residual < 1e-4
+    assert contact.iterations < 60
