@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bubbleviz.camera import IMAGE_ERRORS, UPPER_95
+from bubbleviz.camera import IMAGE_ERRORS, UPPER_95, RangeObserver
 from bubbleviz.inverse import LINEAR, PAPER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame, gas_warning
@@ -42,6 +42,53 @@ _FACTS = np.dtype(
     ]
 )
 """What the warnings use of a frame."""
+_SPOT_PERIOD_S, _SPOT_IMAGES = 0.3, 10
+"""Least time between the contact-free images of which spots are means, and about the largest
+number of these, so that a spot that was removed is forgotten."""
+_SPOT_SIGMAS, _SPOT_SHARE = 5.0, 0.05
+"""Least mean error of a block of pixels, over the noise of that mean: one of a million by chance.
+If more than that share of all blocks has it, the sensor file is wrong."""
+
+
+class _Spots:
+    """Pixels whose depth is wrong in the contact-free images, as by dust on the camera's window.
+
+    In a single image, they look like a light touch.
+    """
+
+    def __init__(self, observer: RangeObserver) -> None:
+        self._observer, self._time_s, self._count = observer, -math.inf, 0
+        self._error = np.zeros(observer.blocks)  # mean, over the noise of one image
+
+    def take(self, frame: Frame, result: Result) -> None:
+        """Use a contact-free image, unless it follows too soon on the one before."""
+        observer, expected_m = self._observer, 0.0
+        if result.estimate is None or abs(frame.time_s - self._time_s) < _SPOT_PERIOD_S:
+            return
+        if (errors := result.estimate.image_errors) is not None:
+            expected_m = observer.image_errors @ errors.mean
+        seen = observer.observe(frame.depth_m)
+        error = (seen.residual_m - expected_m) * np.sqrt(seen.weight) / result.frame.noise
+        self._time_s, self._count = frame.time_s, self._count + 1
+        self._error += (error - self._error) / min(self._count, _SPOT_IMAGES)
+
+    def text(self) -> str:
+        """Warning that tells the place of the largest error; empty if there is none."""
+        size, observer = np.abs(self._error), self._observer
+        images = min(self._count, _SPOT_IMAGES)
+        wrong = np.count_nonzero(size * math.sqrt(images) > _SPOT_SIGMAS)
+        if images < 2 or not 0 < wrong < _SPOT_SHARE * len(size):
+            return ""
+        worst = int(size.argmax())
+        row, column = divmod(int(observer.block_number[worst]), observer.columns)
+        noise_m = observer.observe_everything().weight[worst] ** -0.5
+        return (
+            "depth in frames without contact is wrong by about "
+            f"{1e3 * self._error[worst] * noise_m:+.1f} mm around column "
+            f"{column * observer.block}, row {row * observer.block}, so light contacts and those "
+            "near it are wrong, too: clean the camera's window, and look for reflections and "
+            "damage of the membrane there; if it stays, identify the sensor again"
+        )
 
 
 class FrameWarnings:
@@ -59,6 +106,7 @@ class FrameWarnings:
     def restart(self) -> None:
         """Forget all frames."""
         self._facts = np.zeros(0, _FACTS)
+        self._spots = _Spots(self._pipeline.estimator.observer)
 
     def take(self, number: int, frame: Frame, result: Result) -> None:
         """Count a frame, as it was measured, if its result has an estimate.
@@ -74,6 +122,8 @@ class FrameWarnings:
             self._facts = facts
         if estimate is None or self._facts["number"][at] >= number:
             return
+        if estimate.status == "no_contact":
+            self._spots.take(frame, result)
         known, found = result.frame.image_errors, estimate.image_errors
         # with contact, those found in the image are mixed up with it
         errors = found if found is None or estimate.status == "no_contact" else known
@@ -121,6 +171,7 @@ class FrameWarnings:
                 "identify the sensor again, or turn off spatial filters of the camera",
             )
         yield "depth", self._contact_warning(facts) or self._drift_warning(facts)
+        yield "spots", self._spots.text()
         yield "friction", self._friction_warning(facts["friction"])
         unseen = facts["seen_share"][facts["seen_share"] < 1.0]
         if unseen.size:
