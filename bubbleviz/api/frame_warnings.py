@@ -152,7 +152,9 @@ class FrameWarnings:
         yield "gas", self._gas_warning(facts)
         yield "camera", _camera_warning(self._pipeline, self._where)
         misfits, others = (int(facts[name].sum()) for name in ("implausible", "ok"))
-        confirmed = self._zeros.rest_frames or facts["no_contact"].any()  # the sensor file
+        # The sensor file is confirmed by contact-free frames; those that were only found for the
+        # zeros are not solved like the others.
+        confirmed = facts["no_contact"].any() or misfits < (self._zeros.rest_frames or 0)
         if misfits and not confirmed and not others:
             yield "fit", f"{_MISFIT} ({misfits:,} solved); {_OTHER_FILE}"
         elif misfits and not confirmed:

@@ -29,8 +29,10 @@ from .rest_frames import (
     select_pixels as select_pixels,
 )
 from .rim import (
+    RimPlane as RimPlane,
     lateral_scale as lateral_scale,
     rim_height as rim_height,
+    rim_plane as rim_plane,
 )
 from .rubber_problem import (
     collect_press as collect_press,

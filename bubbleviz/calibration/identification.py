@@ -147,6 +147,18 @@ class Identification:
         return abs(shapes.value - file.value) > np.hypot(shapes.half_width, file.half_width)
 
     @property
+    def chamber_contradicts_file(self) -> bool:
+        """Whether weather and altitude cannot explain the gas pressure of the open chamber.
+
+        Altitude only lowers the atmospheric pressure.
+        """
+        if self.vented is None:
+            return False
+        air, weather_pa = self.given.pneumatics, HALF_95 * WEATHER_SIGMA_PA
+        excess_pa = self.vented.value - air.atmospheric_pressure_pa
+        return excess_pa > weather_pa or (air.atmosphere_is_local and excess_pa < -weather_pa)
+
+    @property
     def focal_by_rim_px(self) -> dict[str, Quantity]:
         """`fx` and `fy`, pixels, at which the rim has its size before the first identification.
 

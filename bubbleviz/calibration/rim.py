@@ -1,8 +1,11 @@
-"""Rim of the sensor file against the edge of the measured membrane: height and size."""
+"""Rim of the sensor file against the edge of the measured membrane: height, tilt and size."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+from scipy.spatial.transform import Rotation
 from scipy.special import stdtrit
 
 from bubbleviz.calibration.ellipsoid import Ellipsoid
@@ -15,6 +18,7 @@ _DRAWN_SIGMA_M = 0.5e-3 / np.sqrt(3.0)
 the edge of a clamp is hardly better defined."""
 _STEPS, _LARGEST_STEP, _TOLERANCE = 50, 0.1, 1e-4
 """Gauss–Newton steps and their limits; relative. The last is far below `_DRAWN_SIGMA_M`."""
+_IN_PLANE = 0.8  # least share of the edge in a plane, within the error of a drawn rim; chosen
 _DIFFERENCE = 1e-6  # for the derivatives; far above the rounding of doubles
 
 
@@ -42,6 +46,47 @@ def _densest(ordered: np.ndarray, count: int) -> np.ndarray:
     spans = ordered[count - 1 :] - ordered[: len(ordered) - count + 1]
     start = int(np.argmin(spans))
     return ordered[start : start + count]
+
+
+class RimPlane(NamedTuple):
+    """Plane through the outer edge of the cloud."""
+
+    tilt_rad: float  # against the rim plane z = 0 of the sensor file
+    sigma_rad: float  # of the tilt
+    T_B_C: np.ndarray  # (4, 4), pose of the camera at which the edge lies in the rim plane
+
+
+def rim_plane(
+    edge_m: np.ndarray,  # (k, 3), points of the cloud's outer edge in B, m
+    centre_m: np.ndarray,  # (3,), of a sphere or ellipsoid fitted to the cloud, in B, m
+    camera: DepthCamera,  # at the sensor file's pose
+) -> RimPlane | None:
+    """Robust plane through the edge; None: a fifth of it or more is not in one plane.
+
+    Depth that ends early, at the border of the image or at an obstacle, has no edge in a plane.
+    The pose keeps the turn about z, which a round rim does not tell.
+    """
+    middle = edge_m.mean(axis=0) * (1.0, 1.0, 0.0)
+    sides = edge_m - middle
+    sides[:, 2] = 1.0
+    weights = np.ones(len(edge_m))
+    for _ in range(_STEPS):
+        root = np.sqrt(weights)
+        plane = np.linalg.lstsq(root[:, None] * sides, root * edge_m[:, 2], rcond=None)[0]
+        left = edge_m[:, 2] - sides @ plane
+        weights = tukey_weights(left, max(robust_sigma(left, center=0.0), _DIFFERENCE))
+    narrow = float(np.linalg.eigvalsh(np.cov(edge_m[:, :2].T))[0])  # 0 or less: a line
+    if not narrow > _DRAWN_SIGMA_M**2 or np.mean(np.abs(left) < 2.0 * _DRAWN_SIGMA_M) < _IN_PLANE:
+        return None
+    normal = np.array([-plane[0], -plane[1], 1.0]) / np.hypot(1.0, np.hypot(*plane[:2]))
+    turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [normal])[0]
+    # The axis of B goes through the centre, and its origin is where it meets the plane.
+    origin = turn.apply(centre_m)
+    origin[2] = turn.apply(middle)[2] + plane[2] * normal[2]
+    pose = np.eye(4)
+    pose[:3, :3] = turn.as_matrix() @ camera.T_B_C[:3, :3]
+    pose[:3, 3] = turn.apply(camera.center) - origin
+    return RimPlane(float(np.arccos(normal[2])), _DRAWN_SIGMA_M / float(np.sqrt(narrow)), pose)
 
 
 def lateral_scale(

@@ -25,7 +25,7 @@ from bubbleviz.calibration.rest_frames import (
     membrane_pixels,
     outer_edge,
 )
-from bubbleviz.calibration.rim import lateral_scale, rim_height
+from bubbleviz.calibration.rim import RimPlane, lateral_scale, rim_height, rim_plane
 from bubbleviz.camera import DepthCamera, MembraneView, facet_error
 from bubbleviz.membrane import (
     MembraneMesh,
@@ -63,6 +63,7 @@ class Surfaces:
     # height of the cloud's edge above the rim plane z = 0, and its uncertainty, m
     rim_height_m: float
     rim_height_sigma_m: float
+    rim_plane: RimPlane | None  # through that edge, if it lies in a plane
     # `fx` and `fy`, pixels, at which that edge has the size of the sensor file's rim; or empty
     focal_by_rim_px: dict[str, Quantity]
     camera: DepthCamera  # in B, whose origin lies below the chosen surface's centre
@@ -170,6 +171,7 @@ def fit_surfaces(
         free_form=free_form,
         rim_height_m=height,
         rim_height_sigma_m=sigma,
+        rim_plane=rim_plane(edge, sphere.centre_m, given),
         focal_by_rim_px=_focal_by_rim(edge, samples, ellipsoid),
         camera=camera,
         membrane=membrane,

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Literal
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from bubbleviz.calibration.identification import RUBBER_NAMES, Identification
 from bubbleviz.calibration.surface import SURFACE_NAMES, Quantity
 from bubbleviz.result import HALF_95
@@ -49,6 +52,9 @@ def grade(found: Identification) -> Grade:
     relative = _relative(tension)
     force = _relative(found.reference_force)
     contradictory = found.contradicts_file or found.levels_contradict
+    contradictory |= found.chamber_contradicts_file
+    if _tilt_rad(found) > (force or _GOOD_FORCE):  # it turns every force
+        return "doubtful"
     if relative > _USABLE or force > _USABLE_FORCE or contradictory:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
@@ -94,6 +100,16 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             " may be wrong. Check which pressure belongs to which recording, at rest, of levels"
             " (--level) and of the open chamber (--vented)."
         )
+    if found.chamber_contradicts_file:
+        assert found.vented is not None
+        air_pa = found.given.pneumatics.atmospheric_pressure_pa
+        out.append(
+            f"The gas pressure of the open chamber, {pressure(found.vented.value)}, differs from "
+            f"the atmospheric pressure in the sensor file, {pressure(air_pa)}, by more than "
+            "weather does, so gauge pressure and every force may be wrong: check that the chamber "
+            "was open in that recording (--vented). If its pressure sensor has an offset, enter "
+            "what it shows in open air as atmospheric_pressure_pa."
+        )
     if found.focal_contradicts_rim:
         used = found.samples.camera.intrinsics
         texts = (
@@ -106,6 +122,18 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f" {' and '.join(texts)} pixels. A wrong focal length makes every force wrong by twice"
             " its percentage: correct the camera info, the scale of depth, or the rim in the"
             " initial sensor file (to 0.5 mm), and identify from that file."
+        )
+    if tilt_rad := _tilt_rad(found):
+        assert surfaces.rim_plane is not None
+        pose = surfaces.rim_plane.T_B_C
+        position = ", ".join(f"{each:.4f}" for each in pose[:3, 3])
+        turn = ", ".join(f"{each:.4f}" for each in Rotation.from_matrix(pose[:3, :3]).as_quat())
+        out.append(
+            f"The edge of the cloud lies in a plane tilted by {np.degrees(tilt_rad):.1f}° against "
+            "the rim plane of the sensor file. If that edge is the rim, the camera's pose in the "
+            "file is wrong, and the direction of every force by as much: enter position_m = "
+            f"[{position}] and quaternion_xyzw = [{turn}] in the initial sensor file (a turn about "
+            "z is not told by the rim), and identify from that file."
         )
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"
@@ -229,6 +257,14 @@ def _range(texts: tuple[str, ...], unit: str = "") -> str:
 def _interval(gauge: Quantity, pressure: PressureText) -> str:
     cut = gauge.possible()
     return f"{pressure(cut.value)} ({pressure(cut.low)} to {pressure(cut.high)})"
+
+
+def _tilt_rad(found: Identification) -> float:
+    """Tilt of the cloud's edge against the rim plane where it is significant, else 0."""
+    plane = found.surfaces.rim_plane
+    if plane is None or plane.tilt_rad < HALF_95 * plane.sigma_rad:
+        return 0.0
+    return plane.tilt_rad
 
 
 def _relative(of: Quantity | None) -> float:

@@ -1,4 +1,4 @@
-"""The rim's size in the image against that in the sensor file shows a wrong focal length."""
+"""The rim in the image against that in the sensor file shows wrong focal lengths and poses."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import bubbleviz as bv
-from bubbleviz.calibration import Ellipsoid, lateral_scale
+from bubbleviz.calibration import Ellipsoid, lateral_scale, rim_plane
 from bubbleviz.camera import DepthCamera, Intrinsics
 from bubbleviz.recordings import HeldFrames, RecordingWriter
 from bubbleviz.simulation import DepthNoise
@@ -64,6 +64,25 @@ def test_depth_that_ends_beside_the_rim_is_no_other_scale(height_m):
     for edge in (ring(height_m), ring() + np.array([0.0, 0.0, height_m])):
         scale, sigma = lateral_scale(edge, ring(), camera_at(), CAP)
         assert (np.abs(scale - 1.0) < 1.96 * sigma).all()
+
+
+@pytest.mark.parametrize("degrees", [0.0, 3.0, 14.0])
+def test_wrong_tilt_of_the_camera_is_found_by_the_plane_of_the_rim(degrees):
+    true = camera_at()
+    T = true.T_B_C.copy()
+    T[:3, :3] = Rotation.from_euler("x", degrees, degrees=True).as_matrix() @ T[:3, :3]
+    believed = DepthCamera(true.intrinsics, T)
+    edge = np.concatenate([ring(), ring(0.012, (1.0, 2.0), 60)])  # a part above the rim
+    (centre,) = taken_by(CAP.centre_m[None], true, believed)
+    found = rim_plane(taken_by(edge, true, believed), centre, believed)
+    assert np.degrees(found.tilt_rad) == pytest.approx(degrees, abs=0.05)
+    assert np.degrees(found.sigma_rad) < 1.0
+    np.testing.assert_allclose(found.T_B_C, true.T_B_C, atol=2e-4)
+
+
+def test_depth_that_ends_early_has_no_edge_in_a_plane():
+    edge = ring(0.004 * np.sin(np.linspace(0.0, 6.0 * np.pi, 400)))
+    assert rim_plane(edge, CAP.centre_m, camera_at()) is None
 
 
 def test_a_small_arc_leaves_the_scale_open():

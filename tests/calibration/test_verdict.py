@@ -8,6 +8,7 @@ import pytest
 from bubbleviz.api.identifying import Identified
 from bubbleviz.calibration import (
     Quantity,
+    RimPlane,
     advice,
     grade,
     headline,
@@ -69,6 +70,12 @@ def rim_at(found, height_m, sigma_m):
     return replace(found, surfaces=replace(found.surfaces, **rim))
 
 
+def tilted(found, degrees):
+    """With the edge of the cloud tilted against the rim, known to half a degree."""
+    plane = RimPlane(np.radians(degrees), np.radians(0.5), np.eye(4))
+    return replace(found, surfaces=replace(found.surfaces, rim_plane=plane))
+
+
 def with_seen_share(found, share):
     return replace(found, surfaces=replace(found.surfaces, visible_share=share))
 
@@ -107,6 +114,8 @@ def test_grade_follows_the_interval_unless_there_is_a_warning(ball, relative, fr
         (lambda found: rim_at(found, 5e-4, 1e-5), ""),  # of 45 mm: 2 % are 0.9 mm
         (lambda found: rim_at(found, -2e-3, 1e-3), ""),
         (lambda found: rim_at(found, -2e-3, 5e-4), "The edge of the cloud lies at z = -2.0 mm"),
+        (lambda found: tilted(found, 0.9), ""),
+        (lambda found: tilted(found, 1.5), "in a plane tilted by 1.5°"),
     ],
 )
 def test_warning_appears_beyond_its_limit(ball, change, said):
@@ -114,6 +123,29 @@ def test_warning_appears_beyond_its_limit(ball, change, said):
     assert grade(found) == ("usable" if said else "good")
     if said:
         assert said in advice(found)[1]
+
+
+@pytest.mark.parametrize(
+    ("excess_pa", "place_pa", "expected"),
+    [
+        (1900.0, 101_325.0, "good"),
+        (2100.0, 101_325.0, "doubtful"),
+        (-9000.0, 101_325.0, "good"),  # high up
+        (-2100.0, 95_000.0, "doubtful"),
+    ],
+)
+def test_an_open_chamber_whose_pressure_is_no_weather_is_doubtful(
+    ball, excess_pa, place_pa, expected
+):
+    given = changed(ball.given, pneumatics={"atmospheric_pressure_pa": place_pa})
+    vented = Quantity.normal(place_pa + excess_pa, 5.0, "open")
+    found = replace(in_frames(ball, 30), given=given, vented=vented)
+    assert grade(found) == expected
+    assert any("open chamber" in line for line in advice(found)) is (expected == "doubtful")
+
+
+def test_a_tilt_that_turns_forces_beyond_their_interval_is_doubtful(ball):
+    assert grade(tilted(in_frames(ball, 30), 6.0)) == "doubtful"
 
 
 @pytest.mark.parametrize(
