@@ -18,12 +18,13 @@ from bubbleviz.zeros import Zeros, camera_moved, drift_warning
 
 _MISFIT = "no frame looks like the membrane of this sensor"
 _OTHER_FILE = (
-    "choose the sensor file of this camera, and check the gas pressure and the unit of depth (m in "
-    "32FC1, mm in 16UC1)"
+    "choose the sensor file of this camera, and check its pose (quaternion_xyzw), the gas pressure "
+    "and the unit of depth (m in 32FC1, mm in 16UC1)"
 )
 NO_FRAME_FITS = f"{_MISFIT}; {_OTHER_FILE}"
 RECENT_FRAMES = 10_000
 """Frames of a stream that count, the most recent: five minutes. What was repaired is forgotten."""
+_MISSING_GAS = 0.1  # share of frames: recordings begin and end with some
 _CHANCE = 0.02  # share of images that contradict their known errors by chance
 _FACTS = np.dtype(
     [
@@ -149,7 +150,7 @@ class FrameWarnings:
 
     def _found(self, facts: np.ndarray) -> Iterator[tuple[str, str]]:
         yield "file", self._pipeline.model.contradiction
-        yield "gas", self._gas_warning(facts)
+        yield "gas", self._gas_warning(facts) or _gas_gaps_warning(facts)
         yield "camera", _camera_warning(self._pipeline, self._where)
         misfits, others = (int(facts[name].sum()) for name in ("implausible", "ok"))
         # The sensor file is confirmed by contact-free frames; those that were only found for the
@@ -259,6 +260,17 @@ class FrameWarnings:
             median_pa = float(np.median(measured_pa)) if measured_pa.size else None
             return gas_warning(median_pa, known_pa, f"in the {where}")
         return gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
+
+
+def _gas_gaps_warning(facts: np.ndarray) -> str:
+    """Warning if some frames have a gas pressure and many of the others have none; else empty."""
+    missing = len(facts) - len(_measured_pa(facts))
+    if not _MISSING_GAS * len(facts) < missing < len(facts):
+        return ""
+    return (
+        f"{missing:,} of {count_of(len(facts), 'frame')} have no gas pressure at their time, and "
+        "forces in these frames are less certain: check rate and stamps of the gas pressure"
+    )
 
 
 def _measured_pa(facts: np.ndarray) -> np.ndarray:

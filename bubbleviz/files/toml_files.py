@@ -36,7 +36,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises InputError: it cannot be read, or is not TOML.
     """
     with as_input_error(path, "the TOML file", "correct the file or its path"):
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))  # with Windows' mark or without
 
 
 def checked(

@@ -61,3 +61,13 @@ def test_a_stream_forgets_what_was_repaired(wrong_gas):
             assert "depth" in stream.texts()
     assert "depth" not in stream.texts()
     assert "depth" in whole.texts()
+
+
+@pytest.mark.parametrize(("every", "told"), [(20, False), (3, True)])
+def test_frames_without_gas_pressure_among_others_are_told(wrong_gas, every, told):
+    pipeline, zeros, solved = wrong_gas
+    counted = FrameWarnings(pipeline, zeros)
+    for number, (frame, result) in enumerate(solved):
+        missing = {"gas_pressure_pa": None} if number % every == 0 else {}
+        counted.take(number, replace(frame, **missing), result)
+    assert ("have no gas pressure" in counted.texts().get("gas", "")) is told

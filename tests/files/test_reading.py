@@ -8,7 +8,7 @@ import pytest
 from bubbleviz.errors import InputError
 from bubbleviz.files import as_input_error, read_npy, read_triangles
 from bubbleviz.recordings import ImageFolder
-from bubbleviz.sensor import edited, load_sensor
+from bubbleviz.sensor import edited, load_sensor, sensor_to_toml
 
 
 def npy(array, shape=None):
@@ -74,3 +74,10 @@ def test_a_prestretch_in_per_cent_is_refused():
         assert edited(sensor, {"membrane.prestretch": within}).membrane.prestretch == within
     with pytest.raises(InputError, match=r"prestretch = 8\.2: it should be less than"):
         edited(sensor, {"membrane.prestretch": 8.2})
+
+
+def test_a_sensor_file_with_the_byte_order_mark_of_windows_editors_is_read(tmp_path):
+    sensor = load_sensor("pico_flexx_75mm")
+    path = tmp_path / "own.toml"
+    path.write_text(sensor_to_toml(sensor), encoding="utf-8-sig")
+    assert load_sensor(path).camera == sensor.camera

@@ -70,7 +70,7 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "readout": LayerKind(
             "Readout",
-            "Force, its part by friction, peak pressure and patch area, in the view;\n"
+            "Force, its part by friction, peak pressure and patch area at rest, in the view;\n"
             "in brackets the areas of the smallest and the largest patch that noise allows",
             PATCH,
         ),
