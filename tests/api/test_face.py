@@ -3,6 +3,7 @@
 import gc
 import pickle
 import re
+import shutil
 import sys
 import warnings
 from contextlib import suppress
@@ -67,6 +68,8 @@ def test_type_information_is_shipped():
 
 
 POSE = "0 0 0.044 0 0 0 1"
+INIT = "0.005 0 0.044 0 0 0 1"
+"""Of the cylinder in the press, so that its pose is not searched for."""
 
 
 @pytest.mark.parametrize(
@@ -201,30 +204,34 @@ def test_a_contact_that_the_camera_sees_in_part_gives_a_warning(frames, sensor, 
     assert "part of the contact" not in (estimated.warning or "")
 
 
-def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(sensor):
+@pytest.fixture(scope="module")
+def deepening(sensor):
+    """Frames at rest, and of a press that goes ever deeper."""
+    heights = [0.060] * 18 + np.linspace(0.049, 0.036, 10).tolist()
+    return list(small_source(sensor, heights))
+
+
+def test_wrong_chamber_volume_is_named_where_gas_pressure_is_not_measured(deepening, sensor):
     """The gas law then predicts another shape, which looks like a drift of the camera."""
-    heights = [0.060] * 12 + np.linspace(0.049, 0.036, 10).tolist()
-    frames = [replace(each, gas_pressure_pa=None) for each in small_source(sensor, heights)]
+    frames = [replace(each, gas_pressure_pa=None) for each in deepening[6:]]
     given = bv.load_sensor(sensor)
     warning = bv.estimate(frames, changed(given, pneumatics={"chamber_volume_m3": 5e-4})).warning
     assert "does not follow the gas law" in warning and "check chamber_volume_m3" in warning
     assert bv.estimate(frames, given).warning is None
 
 
-@pytest.mark.parametrize("wrong", ["share", "late"])
-def test_wrong_gas_pressure_is_named_where_it_is_measured(sensor, wrong):
+def test_wrong_gas_pressure_is_named_where_it_is_measured(deepening, sensor):
     """The images contradict it as they would after a drift of the camera."""
-    heights = [0.060] * 18 + np.linspace(0.049, 0.036, 10).tolist()
-    given = list(small_source(sensor, heights))
-    measured = np.array([each.gas_pressure_pa for each in given])
-    pressures = 0.5 * (measured + measured[0]) if wrong == "share" else np.roll(measured, 5)
-    pressures[:18] = measured[:18]
-    frames = [
-        replace(each, gas_pressure_pa=float(pa)) for each, pa in zip(given, pressures, strict=True)
-    ]
-    warning = bv.estimate(frames, sensor).warning
-    assert "the measured gas pressure is wrong or late" in warning and "check values" in warning
-    assert bv.estimate(given, sensor).warning is None
+    measured = np.array([each.gas_pressure_pa for each in deepening])
+    for wrong in (0.5 * (measured + measured[0]), np.roll(measured, 5)):  # a share of it, late
+        pressures = np.where(np.arange(len(measured)) < 18, measured, wrong)
+        frames = [
+            replace(each, gas_pressure_pa=float(pa))
+            for each, pa in zip(deepening, pressures, strict=True)
+        ]
+        warning = bv.estimate(frames, sensor).warning
+        assert "the measured gas pressure is wrong or late" in warning and "check values" in warning
+    assert bv.estimate(deepening, sensor).warning is None
 
 
 def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, sensor):
@@ -233,9 +240,16 @@ def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, senso
         warning = bv.estimate(frames[:2], sensor, friction=friction, solver=solver).warning
         assert f"(--friction {friction:g}) changes nothing" in warning
     said = "(--friction 0.5) changes nothing"
-    assert said in bv.track(frames, "cylinder", sensor, friction=0.5).warning
+    assert said in bv.track(frames[2:3], "cylinder", sensor, init=INIT, friction=0.5).warning
     for other, friction in ((sensor, None), (sensor, 0.0), (rubber, 0.5)):
         assert said not in (bv.estimate(frames[:2], other, friction=friction).warning or "")
+
+
+@pytest.fixture(scope="module")
+def rested(sensor):
+    """Recording of the press after enough frames at rest."""
+    source = small_source(sensor, [*20 * (0.060,), *HEIGHTS])
+    return record(sensor.with_name("rested.mcap"), source)
 
 
 @pytest.mark.parametrize(
@@ -243,7 +257,7 @@ def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, senso
     [
         bv.estimate,
         bv.check,
-        lambda path, sensor: bv.track(path, "cylinder", sensor),
+        lambda path, sensor: bv.track(path, "cylinder", sensor, init=INIT),
         lambda path, sensor: bv.compare(path, path, sensor),
         lambda path, sensor: bv.export(path, path.with_suffix(".csv"), sensor),
         lambda path, sensor: bv.identify(path, sensor, out=path.with_suffix(".toml")),
@@ -251,9 +265,8 @@ def test_friction_that_the_linear_membrane_ignores_gives_a_warning(frames, senso
     ],
     ids=["estimate", "check", "track", "compare", "export", "identify", "refused"],
 )
-def test_a_recording_opened_by_a_function_is_closed_by_it(tmp_path, sensor, call):
-    heights = [*20 * (0.060,), *HEIGHTS]
-    path = record(tmp_path / "press.mcap", small_source(sensor, heights))
+def test_a_recording_opened_by_a_function_is_closed_by_it(rested, tmp_path, sensor, call):
+    path = Path(shutil.copy(rested, tmp_path))
     gc.collect()  # what other tests left
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -310,7 +323,7 @@ def test_a_drifted_camera_gives_a_warning(frames, sensor, estimated):
     assert "gas pressure" not in run.warning
     silent = bv.estimate([replace(each, gas_pressure_pa=None) for each in drifted], sensor)
     assert "gas pressure, which was not recorded, has changed" in silent.warning
-    followed = bv.track(drifted, "cylinder", sensor, init="0.005 0 0.044 0 0 0 1")
+    followed = bv.track(drifted, "cylinder", sensor, init=INIT)
     assert followed.warning == run.warning
 
 
@@ -467,15 +480,14 @@ def test_invalid_result_file_is_refused_in_one_sentence(tmp_path):
 
 
 def test_object_is_registered_and_tracked(frames, sensor, tmp_path):
-    init = "0.005 0 0.044 0 0 0 1"
-    run = bv.track(frames, "cylinder", sensor, init=init)
+    run = bv.track(frames, "cylinder", sensor, init=INIT)
     assert frames.path is not None
-    words = ("--object", "cylinder", "--init", init, "--out", tmp_path / "poses.csv")
+    words = ("--object", "cylinder", "--init", INIT, "--out", tmp_path / "poses.csv")
     output_of("pose", frames.path, "--sensor", sensor, *words)
     lines = np.genfromtxt(tmp_path / "poses.csv", delimiter=",", names=True, encoding="utf-8")
     np.testing.assert_allclose(run.columns()["pose_z_m"], lines["z_m"])
     assert run.T_B_O[3, 2, 3] == pytest.approx(0.042, abs=1e-3)
-    one = bv.register(frames[2], "cylinder", sensor, init=parse_pose(init))
+    one = bv.register(frames[2], "cylinder", sensor, init=parse_pose(INIT))
     assert one.T_B_O[2, 3] == pytest.approx(0.042, abs=1e-3)
     with pytest.raises(bv.InputError, match="nothing touches the membrane"):
         bv.register(frames[0], "cylinder", sensor)
@@ -497,7 +509,7 @@ def test_a_sensor_is_identified_and_saved(sensor, tmp_path):
 def test_frames_and_poses_of_a_stream(press, sensor, tmp_path):
     with bv.connect(f"replay:{press}?speed=0.2", sensor) as stream:
         assert [frame.index for frame in stream] == list(range(len(HEIGHTS)))
-    path, how = tmp_path / "held.mcap", {"init": "0.005 0 0.044 0 0 0 1"}
+    path, how = tmp_path / "held.mcap", {"init": INIT}
     write_press(path, sensor, (*HEIGHTS[:-1], HEIGHTS[-2]))
     with bv.connect(f"replay:{path}?speed=0.2", sensor) as stream:
         poses = list(bv.track(stream, "cylinder", **how))
