@@ -112,9 +112,9 @@ def told(lines):
     return [line for line in lines if line.startswith("The rim in the image")]
 
 
-@pytest.mark.parametrize("focal", [0.95, 1.05])
-def test_a_wrong_focal_length_is_told_by_identify_check_and_estimate(focal, tmp_path):
-    frames, sensor = dome(focal)
+def test_a_wrong_focal_length_is_told_by_identify_check_and_estimate(tmp_path):
+    """One that is too large: below."""
+    frames, sensor = dome(0.95)
     found = bv.identify(frames, sensor, nodes=300, held_press=False)
     numbers = found.save(tmp_path / "wrong.toml", report=tmp_path / "report")
     verdict = numbers["verdict"]
@@ -131,7 +131,7 @@ def test_a_wrong_focal_length_is_told_by_identify_check_and_estimate(focal, tmp_
     with bv.open(tmp_path / "rest.mcap", "0:3") as some:
         run = bv.estimate(some, tmp_path / "wrong.toml")
     for warning in (check.warning, run.warning):
-        assert f"fx = {focal * true:g} in the sensor file" in warning
+        assert f"fx = {0.95 * true:g} in the sensor file" in warning
         assert "correct the camera info" in warning
 
 
