@@ -23,10 +23,16 @@ DEPTHS_M = 0.006, 0.010, 0.014
 
 
 @cache
+def pipeline(relative=RELATIVE):
+    """Of a camera whose sensor file declares so much noise."""
+    return Pipeline.of(changed(rubber_dome(), camera={"noise_relative": relative}))
+
+
+@cache
 def exact():
     """The membrane at rest and pressed by a ball ever deeper, without noise; the ball's forces."""
-    poses, pipeline = np.tile(np.eye(4), (1 + len(DEPTHS_M), 1, 1)), Pipeline.of(rubber_dome())
-    top = touching_height(load_object("sphere"), poses[0], pipeline.mesh)
+    poses = np.tile(np.eye(4), (1 + len(DEPTHS_M), 1, 1))
+    top = touching_height(load_object("sphere"), poses[0], pipeline().mesh)
     poses[:, 2, 3] = top - np.array([-0.02, *DEPTHS_M])
     simulation = bv.simulate(rubber_dome(), "sphere", poses)
     return list(simulation), [simulation.truth(k).force_n for k in range(1, len(poses))]
@@ -86,7 +92,7 @@ def test_errors_known_from_rest_contain_the_truth_where_noise_is_correlated_in_t
     rest, squares = exact()[0][0], 0.0
     for seed in range(3):
         frames = correlated_in_time(rest, 15, seed)
-        zeros = zeros_of(HeldFrames(frames), Pipeline.of(rubber_dome()))
+        zeros = zeros_of(HeldFrames(frames), pipeline())
         known = zeros.applied(frames[-1]).image_errors
         squares += known.mean @ np.linalg.solve(known.covariance, known.mean)
     assert squares < chdtri(3 * len(known.mean), 0.01)
@@ -101,7 +107,7 @@ def test_later_frames_of_a_stream_without_contact_have_none():
 @pytest.mark.parametrize("width_px", [0.0, WIDTH_PX])
 def test_the_noise_of_a_recording(width_px):
     """Independent samples of filtered noise are as large as 4π widths squared."""
-    zeros = zeros_of(HeldFrames(recording(width_px)[0]), Pipeline.of(rubber_dome()))
+    zeros = zeros_of(HeldFrames(recording(width_px)[0]), pipeline())
     expected = max(1.0, np.sqrt(4.0 * np.pi) * width_px)
     assert zeros.applied(exact()[0][0]).noise == pytest.approx(expected, rel=0.3)
 
@@ -109,9 +115,8 @@ def test_the_noise_of_a_recording(width_px):
 def test_presses_are_no_noise():
     """They change an image smoothly, not as noise does."""
     rest, *pressed = exact()[0]
-    precise = changed(rubber_dome(), camera={"noise_relative": 0.1 * RELATIVE})
     frames = [noisy(frame, k, 0.0, 0.1 * RELATIVE) for k, frame in enumerate([rest] * 10 + pressed)]
-    assert zeros_of(HeldFrames(frames), Pipeline.of(precise)).gas.frames == 10
+    assert zeros_of(HeldFrames(frames), pipeline(0.1 * RELATIVE)).gas.frames == 10
 
 
 @pytest.mark.long  # in short: above
@@ -142,17 +147,14 @@ def test_presses_alone_are_no_noise_though_the_camera_has_changed(identified):
     assert np.all(off_n < 0.03 * np.linalg.norm(truth["force_n"], axis=1))
 
 
-@pytest.mark.parametrize(
-    ("step_share", "zeroed"), [(0.0, True), (0.005, True), (-0.005, True), (0.02, False)]
-)
+@pytest.mark.parametrize(("step_share", "zeroed"), [(-0.005, True), (0.02, False)])
 def test_images_like_noise_are_no_rest_while_the_gas_pressure_rises(step_share, zeroed):
     """By a share of the gauge pressure a frame: of a leak, it is small while two are compared."""
-    precise = changed(rubber_dome(), camera={"noise_relative": 0.1 * RELATIVE})
-    pipeline, rest = Pipeline.of(precise), exact()[0][0]
+    rest = exact()[0][0]
     pressure, gauge = rest.gas_pressure_pa, rubber_dome().pneumatics.gauge_pressure_pa
     frames = [
         replace(noisy(rest, k), gas_pressure_pa=pressure + step_share * gauge * k)
         for k in range(REST)
     ]
-    zeros = zeros_of(HeldFrames(frames), pipeline)
+    zeros = zeros_of(HeldFrames(frames), pipeline(0.1 * RELATIVE))
     assert (zeros.gas.offset_pa is not None) is zeroed
