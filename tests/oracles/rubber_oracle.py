@@ -19,9 +19,10 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from math import acos, asin, cos, pi, sin
 from typing import Any
+from warnings import catch_warnings
 
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import ode
 from scipy.optimize import root
 
 from bubbleviz.errors import SolveError
@@ -111,7 +112,7 @@ class AxialRubber:
             pressure = share * self.gauge_pressure_pa
 
             def missed(unknown: np.ndarray, pressure: float = pressure) -> np.ndarray:
-                end = self._meridian(unknown[0], unknown[1], pressure, np.inf, 0.0)
+                end = self._meridian(unknown[0], unknown[1], pressure, np.inf, 0.0, points=2)
                 return np.array([end.r_m[-1] - a, end.z_m[-1]])
 
             guess = list(_root(missed, np.array(guess), "rest"))
@@ -141,9 +142,8 @@ class AxialRubber:
         span = rest.s_m[-1]
 
         def missed(depth: float, u: np.ndarray) -> np.ndarray:
-            end = self._meridian(
-                u[0], self.height_m - depth, u[2], ball_radius_m, u[1] * span, u[3]
-            )
+            z = self.height_m - depth
+            end = self._meridian(u[0], z, u[2], ball_radius_m, u[1] * span, u[3], points=2)
             gas = (self.atmospheric_pressure_pa + u[2]) * (self.chamber_volume_m3 + end.volume_m3)
             left = end.r_m[-1] / a - 1.0, end.z_m[-1] / a, gas / filled - 1.0
             inside = face_radius_m / float(np.interp(u[1] * span, end.s_m, end.r_m)) - 1.0
@@ -204,10 +204,12 @@ class AxialRubber:
         ball: float,
         contact_s: float,
         kink: float = 0.0,
+        points: int = 101,
     ) -> Meridian:
         """Integrate from the apex, on the object up to `contact_s` and free from there.
 
-        There its slope changes by `kink`, rad, at the edge of the object.
+        There its slope changes by `kink`, rad, at the edge of the object. Of each of the two parts
+        so many points are returned, from its begin to its end.
         """
         lam, mu_h = self.prestretch, self.mu_h_n_per_m
 
@@ -234,24 +236,19 @@ class AxialRubber:
         y = np.array([r, apex_z, psi, apex_stretch, 0.0])
         pieces = [(start, contact_s, True)] if touching else []
         pieces.append((max(contact_s, start), self._span, False))
+        # compiled: its steps take less time than `slopes`
+        solver = ode(slopes).set_integrator("dop853", rtol=1e-9, atol=1e-11, nsteps=2000)
         s_all, y_all = [], []
         for begin, end, on_object in pieces:
-            found = solve_ivp(
-                slopes,
-                (begin, end),
-                y,
-                method="DOP853",
-                t_eval=np.linspace(begin, end, 101),
-                args=(on_object,),
-                rtol=1e-8,
-                atol=[1e-10, 1e-10, 1e-8, 1e-8, 1e-13],
-            )
-            if not found.success:
+            solver.set_initial_value(y, begin).set_f_params(on_object)
+            at = np.linspace(begin, end, points)
+            found = np.array([y, *(solver.integrate(s) for s in at[1:])])
+            if not solver.successful():
                 raise SolveError("rubber oracle: the integration failed")
-            y = found.y[:, -1] - ([0.0, 0.0, kink, 0.0, 0.0] if on_object else 0.0)
-            s_all.append(found.t)
-            y_all.append(found.y)
-        s, (r, z, _, l1, v) = np.concatenate(s_all), np.concatenate(y_all, axis=1)
+            y = found[-1] - ([0.0, 0.0, kink, 0.0, 0.0] if on_object else 0.0)
+            s_all.append(at)
+            y_all.append(found)
+        s, (r, z, _, l1, v) = np.concatenate(s_all), np.concatenate(y_all).T
         reference = np.array([self._reference(at)[0] for at in s])
         stretches = np.stack([l1, lam * r / reference], axis=1)
         tensions = np.stack(self._tensions(*stretches.T), axis=1)
@@ -265,7 +262,7 @@ def _root(missed: Callable[[np.ndarray], np.ndarray], guess: np.ndarray, what: s
         return missed(unknown * scale)
 
     try:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), catch_warnings(action="ignore"):  # of impossible guesses
             found = root(scaled, guess / scale, tol=1e-8).x
             left = float(np.abs(scaled(found)).max())
     except (ArithmeticError, ValueError, SolveError):
