@@ -91,8 +91,10 @@ def test_without_colour_depth_alone_is_reported():
 
 
 def test_shear_without_the_exact_membrane_is_refused(sensor, press):
-    told = refusal("watch", "--source", f"replay:{press}", "--sensor", sensor, "--shear")
-    assert "cannot estimate shear; choose solver rubber" in told
+    words = ("watch", "--source", f"replay:{press}", "--sensor", sensor, "--shear")
+    assert "prestretch): cannot estimate shear; choose solver rubber" in refusal(*words)
+    told = refusal(*words, "--solver", "linear")
+    assert "solver linear: cannot estimate shear; choose solver rubber" in told
 
 
 @pytest.mark.long

@@ -8,8 +8,6 @@ import pytest
 from benchmarks.shear import along_error_m
 from bubbleviz.api.estimator import FrameSolver
 from bubbleviz.camera import ColourImage
-from bubbleviz.errors import InputError
-from bubbleviz.inverse import EstimatorOptions
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import NO_COLOUR, Recording
 from bubbleviz.sensor import load_sensor
@@ -38,6 +36,14 @@ def test_traction_of_an_object_that_is_dragged_and_twisted():
     assert np.linalg.norm(patch.center_of_pressure_m - truth.center_m) < 1e-3
 
 
+@pytest.fixture(scope="module")
+def dragged():
+    """The truth of a puck that was dragged and twisted, and its frame as both cameras solve it."""
+    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
+    frame = eyes.see(truth)
+    return truth, eyes, frame, eyes.pipeline.process(frame, frozenset({"traction", "slip"}))
+
+
 def test_a_press_without_friction_has_no_shear():
     """The shear found is noise of the flow, within its uncertainty."""
     truth, eyes = stuck("puck", 0.004, 0.0, 0.0), Eyes()
@@ -45,10 +51,8 @@ def test_a_press_without_friction_has_no_shear():
     assert np.linalg.norm(shear) < 0.01 * np.linalg.norm(truth.force_n)
 
 
-def test_a_frame_has_one_force_and_flow_improves_it():
-    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
-    frame = eyes.see(truth)
-    both = eyes.pipeline.process(frame, frozenset({"traction", "slip"}))
+def test_a_frame_has_one_force_and_flow_improves_it(dragged):
+    truth, _, frame, both = dragged
     for_patch = {"fine_contact", "patch"}
     assert both.times_ms.keys() == {"estimate", "flow", "traction", "slip", "total"} | for_patch
     alone = Pipeline.of(sensor(600))
@@ -93,12 +97,11 @@ def test_a_force_by_flow_that_differs_from_that_by_depth_has_a_larger_sigma():
     assert early.force_sigma_n[0] > 1.5 * in_time.force_sigma_n[0]
 
 
-def test_a_second_frame_starts_warm_or_from_rest():
-    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
-    frame = eyes.see(truth)
-    first, second = (eyes.solve(frame)[0] for _ in range(2))
+def test_a_second_frame_starts_warm_or_from_rest(dragged):
+    _, eyes, frame, both = dragged
+    first = both.solution[0]
     eyes.pipeline.restart()
-    again = eyes.solve(frame)[0]
+    again, second = (eyes.solve(frame)[0] for _ in range(2))
     np.testing.assert_array_equal(again.nodal_force_n, first.nodal_force_n)
     np.testing.assert_allclose(second.force_n, first.force_n, rtol=0.01, atol=0.01)
 
@@ -205,24 +208,9 @@ def test_frames_of_the_real_press_are_solved_alone_as_in_order(punyo_press_colou
             np.testing.assert_allclose(alone.estimate.force_n, force, atol=0.1)
 
 
-def test_no_contact():
-    eyes = Eyes()
-    _, traction = eyes.solve(eyes.rest())
-    assert traction.status == "no_contact"
-    assert not traction.normal_pa.any() and not traction.tangential_pa.any()
-
-
-def test_sigma_of_the_torque_grows_with_the_lever():
+def test_sigma_of_the_torque_grows_with_the_lever(dragged):
     """As forces and their covariance move it."""
-    truth, eyes = stuck("puck", 0.004, 0.001, 8.0), Eyes()
-    estimate, _ = eyes.solve(eyes.see(truth))
+    truth, estimate = dragged[0], dragged[-1].solution[0]
     far = estimate.torque_sigma_about(truth.center_m - np.array([0.0, 0.0, 10.0]))
     np.testing.assert_allclose(far[:2], 10.0 * estimate.force_sigma_n[1::-1], rtol=0.05)
     assert far[2] == pytest.approx(estimate.torque_sigma_about(truth.center_m)[2])
-
-
-def test_the_linear_membrane_is_refused_in_one_sentence():
-    pipeline = Pipeline.of(sensor(200), options=EstimatorOptions("linear"))
-    expected = "solver linear: cannot estimate shear; choose solver rubber"
-    with pytest.raises(InputError, match=expected):
-        pipeline.prepare(frozenset({"traction"}))
