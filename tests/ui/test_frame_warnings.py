@@ -1,6 +1,7 @@
 """Frames that contradict the calibration: the window has the same warnings as the commands."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -38,15 +39,20 @@ def scale_wrong(frame):
     return replace(frame, depth_m=1.4 * frame.depth_m)
 
 
-@pytest.fixture
-def file(tmp_path):
-    return write_small_sensor(tmp_path / "small.toml")
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return write_small_sensor(tmp_path_factory.mktemp("sensor") / "small.toml")
+
+
+@cache
+def frames(file):
+    """Of a cylinder that is pressed in after frames without contact."""
+    heights = [0.060] * REST + np.linspace(0.049, 0.036, PRESSED).tolist()
+    return list(small_source(file, heights))
 
 
 def recorded(folder, file, change):
-    """A recording of a cylinder that is pressed in after frames without contact."""
-    heights = [0.060] * REST + np.linspace(0.049, 0.036, PRESSED).tolist()
-    return record(folder / f"{change.__name__}.mcap", map(change, small_source(file, heights)))
+    return record(folder / f"{change.__name__}.mcap", map(change, frames(file)))
 
 
 def warnings(driver):
