@@ -63,6 +63,7 @@ def untouched():
     return press("sphere", -0.01)
 
 
+@cache
 def estimator(nodes=500, solver=None, **options):
     mesh = build_mesh(SENSOR, nodes)
     observer = RangeObserver(CAMERA, mesh, SENSOR.camera.noise_relative, block=3)

@@ -11,7 +11,9 @@ from bubbleviz.camera import (
     ImageErrors,
     MembraneView,
     PixelModel,
+    RangeObserver,
 )
+from bubbleviz.inverse import Estimator
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.sensor import load_sensor
 from tests.inverse.test_rubber_estimator import CAMERA, NOISE_M, depth_image_of, estimator, pressed
@@ -180,12 +182,13 @@ def test_returns_biased_beside_a_specular_spot_leave_the_force_in_its_interval(
 
 
 @pytest.mark.parametrize("bias_m", [0.0, 5e-4, -1e-3])
-def test_a_specular_spot_of_the_identification_may_have_another_border_in_a_press(bias_m):
+def test_a_specular_spot_of_the_identification_may_have_another_border_in_a_press(solver, bias_m):
     """Its pixels are masked; here all of them have returns, those beside the mask biased ones."""
     image, _, truth, way = seen(0.004, 0.008)
     away = np.hypot(*way) / image.shape[1]
     pixels = PixelModel(away >= 0.06, np.zeros_like(away), np.full(away.shape, NOISE_M))
-    estimate, _ = estimator(pixels=pixels).estimate(image + bias_m * (away < 0.088))
+    observer = RangeObserver(CAMERA, solver.mesh, NOISE_M / 0.065, pixels, block=3)
+    estimate, _ = Estimator(observer, solver.bubble).estimate(image + bias_m * (away < 0.088))
     error = np.abs(estimate.force_n - truth)
     assert (error < 1.96 * estimate.force_sigma_n).all()
     assert np.linalg.norm(error) < 0.05 * np.linalg.norm(estimate.force_n)

@@ -40,14 +40,14 @@ CAMERA = DepthCamera.of(
 )
 
 
-def estimator(nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0.065, **changed):
+@cache
+def estimator(
+    nodes=500, prestretch=1.2, slack=RIM_SLACK_M, relative=NOISE_M / 0.065, tension=TENSION
+):
     mesh = mesh_cap(CAP, nodes)
-    membrane = RubberMembrane.uniform(
-        mesh, GAUGE, changed.get("tension", TENSION), prestretch, slack
-    )
-    rubber = RubberBubble(membrane, gas_of(mesh))
-    observer = RangeObserver(CAMERA, mesh, relative, changed.get("pixels"), block=3)
-    return Estimator(observer, rubber)
+    membrane = RubberMembrane.uniform(mesh, GAUGE, tension, prestretch, slack)
+    observer = RangeObserver(CAMERA, mesh, relative, block=3)
+    return Estimator(observer, RubberBubble(membrane, gas_of(mesh)))
 
 
 def depth_image_of(mesh, motion, noise_m=0.0, relative=0.0, seed=0):
