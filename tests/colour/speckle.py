@@ -1,6 +1,7 @@
 """Analytic speckle, so that images after any motion are exact."""
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 
@@ -34,6 +35,11 @@ def still(x, y):
 
 def clean_image(motion=still):
     """Brightness after a motion: each pixel shows the point that moved there."""
+    return _clean_image(motion).copy()
+
+
+@lru_cache(maxsize=8)
+def _clean_image(motion):
     x, y = grid()
     from_x, from_y = x, y
     for _ in range(20):  # each a fifth of the error before it, or less
