@@ -19,11 +19,11 @@ MAIN = "import click; from bubbleviz.cli.command_line import VERBS, main\n"
 HELP = MAIN + "for name in {}: main([name, '--help'], standalone_mode=False)"
 COMMAND = MAIN + "main({!r}.split() + sys.argv[1:], standalone_mode=False)"
 UNUSED = {
-    "the library": ("import bubbleviz", (*HEAVY, *WINDOW)),
-    "help": (MAIN + "main(['--help'], standalone_mode=False)", (*HEAVY, *QT)),
-    "help of commands without a window": (HELP.format("VERBS"), (*HEAVY, *WINDOW)),
-    "help of every command": (
-        HELP.format("main.list_commands(click.Context(main))"), (*HEAVY, *QT),
+    "the library, help of commands without a window": (HELP.format("VERBS"), (*HEAVY, *WINDOW)),
+    "help of the program and of every command": (
+        HELP.format("main.list_commands(click.Context(main))")
+        + "\nmain(['--help'], standalone_mode=False)",
+        (*HEAVY, *QT),
     ),
     "a worker, which has to choose its threads first": (
         "import bubbleviz.processes.worker_server", ("numpy",),

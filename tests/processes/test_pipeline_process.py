@@ -113,8 +113,8 @@ def test_results_and_errors_are_those_of_a_local_pipeline(shared, pipeline, sens
     assert process.pid is not None and process.lost == ""
 
 
-def test_an_object_at_rest_is_averaged_in_the_process_as_here(process, sensor):
-    source = small_source(sensor, [0.042] * 8)
+def test_an_object_at_rest_is_averaged_in_the_process_as_here(shared, sensor):
+    source, process = small_source(sensor, [0.042] * 8), shared
     here = Pipeline.of(load_sensor(sensor))
     zeros = Zeros.of_stream(None, here)
     for k in range(len(source)):
