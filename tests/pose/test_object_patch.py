@@ -36,8 +36,19 @@ def source(model):
 
 
 @pytest.fixture(scope="module")
-def processed(model, source):
-    return Pipeline(model).process(source[0], frozenset({"patch"}))
+def used_pipeline(model):
+    return Pipeline(model)
+
+
+@pytest.fixture
+def pipeline(used_pipeline):
+    used_pipeline.restart()
+    return used_pipeline
+
+
+@pytest.fixture(scope="module")
+def processed(used_pipeline, source):
+    return used_pipeline.process(source[0], frozenset({"patch"}))
 
 
 def outline(model, processed, T):
@@ -76,10 +87,11 @@ def test_no_object_patch_without_a_pose_of_the_frame(model, processed, status):
     assert finder.find(processed.estimate, processed.patch, Pose(status, upright())) is None
 
 
-def test_object_patch_on_request_changes_no_pose(model, source):
+def test_object_patch_on_request_changes_no_pose(pipeline, source):
     poses = []
     for products in (frozenset({"pose"}), OBJECT_PRODUCTS):
-        pipeline = Pipeline(model)
+        pipeline.restart()
+        pipeline.counts.clear()
         pipeline.track(source.obj, upright(x=0.004))
         results = [pipeline.process(source[k], products) for k in range(2)]
         assert [r.object_patch is not None for r in results] == ["object_patch" in products] * 2
@@ -88,8 +100,7 @@ def test_object_patch_on_request_changes_no_pose(model, source):
     np.testing.assert_array_equal(*poses)
 
 
-def test_no_object_patch_when_lost_and_a_new_one_for_the_next_object(model, source):
-    pipeline = Pipeline(model)
+def test_no_object_patch_when_lost_and_a_new_one_for_the_next_object(pipeline, source):
     pipeline.track(source.obj, upright())
     cylinder = pipeline.process(source[0], OBJECT_PRODUCTS)
     assert cylinder.object_patch is not None

@@ -51,9 +51,18 @@ def source(sensor):
     )
 
 
-@pytest.fixture
-def pipeline(sensor):
+@pytest.fixture(scope="module")
+def used_pipeline(sensor):
     return Pipeline.of(sensor)
+
+
+@pytest.fixture
+def pipeline(used_pipeline):
+    """At rest, without an object; made once."""
+    used_pipeline.restart()
+    used_pipeline.track(None)
+    used_pipeline.counts.clear()
+    return used_pipeline
 
 
 def close(pose, truth):
