@@ -37,6 +37,11 @@ def sensor():
 
 
 @cache
+def pipeline():
+    return Pipeline.of(sensor())
+
+
+@cache
 def presses():
     """Ranges of a ball well above the membrane, then 6 and 6.5 mm below first contact; forces."""
     poses = np.tile(np.eye(4), (3, 1, 1))
@@ -69,14 +74,14 @@ def noisy(depths_mm, noise=WHITE, seed=0):
 
 def averaged(source, order=None):
     """Frames with their means, asked for in an order."""
-    still = StillFrames(Pipeline.of(sensor()), source)
+    still = StillFrames(pipeline(), source)
     found = {k: still.applied(source[k]) for k in order or range(len(source))}
     return [found[k] for k in sorted(found)]
 
 
 def streamed(frames):
     """Frames with their means, as they come live."""
-    still = StillFrames(Pipeline.of(sensor()))
+    still = StillFrames(pipeline())
     return [still.applied(frame) for frame in frames]
 
 
@@ -86,10 +91,10 @@ def images(frames):
 
 def pushes(frames):
     """Force along z, N, of each frame alone."""
-    pipeline, found = Pipeline.of(sensor()), []
+    found = []
     for frame in frames:
-        pipeline.restart()
-        found.append(pipeline.process(frame, PRODUCTS).estimate.force_n[2])
+        pipeline().restart()
+        found.append(pipeline().process(frame, PRODUCTS).estimate.force_n[2])
     return np.array(found)
 
 
@@ -182,10 +187,8 @@ def test_a_frame_has_the_same_mean_however_it_was_reached():
 
 def test_a_live_frame_that_is_kept_has_the_mean_it_was_shown_with():
     frames = noisy((6.0,) * 13)
-    shown, still = (
-        streamed(frames),
-        StillFrames(Pipeline.of(sensor()), HeldFrames(frames), both_sides=False),
-    )
+    shown = streamed(frames)
+    still = StillFrames(pipeline(), HeldFrames(frames), both_sides=False)
     assert max(images(shown)) > 3
     for k in (7, 12, 3):
         kept = still.applied(frames[k])
