@@ -10,7 +10,7 @@ from bubbleviz.errors import InputError
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.result import Estimate, Result
 from bubbleviz.sensor_model import SensorModel
-from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, iou
+from bubbleviz.simulation import DepthNoise, LinearPresses, Press, TruthBank, iou, with_nodes
 from bubbleviz.study.accuracy import (
     LINEAR,
     RUBBER,
@@ -50,7 +50,7 @@ def written(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def study(sensor, written):
-    return accuracy_study(sensor, GRID).run(written)
+    return accuracy_study(with_nodes(sensor, 400), GRID).run(written)
 
 
 def test_the_truth_itself_has_no_errors(sensor):
