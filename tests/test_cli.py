@@ -41,10 +41,8 @@ def test_every_command_has_the_short_option_for_help():
 
 
 def test_runs_as_a_module():
-    words = [sys.executable, "-m", "bubbleviz"]
-    done = subprocess.run([*words, "--version"], capture_output=True, text=True, check=True)
-    assert done.stdout.startswith("bubbleviz, version ")
-    done = subprocess.run([*words, "fly"], capture_output=True, text=True, check=False)
+    words = [sys.executable, "-m", "bubbleviz", "fly"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert done.stderr == "bubbleviz: No such command 'fly'; see bubbleviz --help\n"
 

@@ -345,20 +345,6 @@ def test_interval_holds_an_unequal_stretch_that_levels_do_not_tell(vented):
     assert by_levels(even_dome(), vented, 1e-3).rubber["unequal_tension_x"].half_width < 0.02
 
 
-@pytest.mark.long  # in short: in test_rubber_press.py
-def test_cable_in_front_of_the_camera_at_one_level_changes_little(found, vented, known, levels):
-    """A tenth of the pixels is 3 mm too close at one level: outliers have no weight."""
-    low, high = levels
-    ranges = low.statistics.range_m.copy()
-    rows = len(ranges)
-    ranges[int(0.45 * rows) : int(0.55 * rows)] -= 3e-3
-    shaded = replace(low, statistics=replace(low.statistics, range_m=ranges))
-    clean = known.prestretch
-    crossed = with_rubber(opened(found, vented), [shaded, high]).prestretch
-    assert crossed.value == pytest.approx(clean.value, abs=0.25 * clean.half_width)
-    assert crossed.low < sheet().prestretch < crossed.high
-
-
 @pytest.mark.parametrize(("readings", "correlation", "least"), [(10, 0.0, 0.94), (30, 0.5, 0.9)])
 def test_interval_of_the_open_chamber_holds_its_pressure(readings, correlation, least):
     """In few readings, too, and where a filter of the sensor makes neighbours alike."""

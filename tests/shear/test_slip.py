@@ -142,26 +142,6 @@ def test_slip_is_unknown_after_all_of_a_patch_has_slipped():
     assert again[1] is not None and again[1].share == 0.0
 
 
-@pytest.mark.long  # in short: by Coulomb's law, above
-def test_a_patch_that_slides_as_a_whole_does_not_seem_to_stick_again():
-    """Slip grows across it, so a few points nearby move almost like a rigid body."""
-    path, _ = press("puck", 0.005)
-    x = path.pressed_m[:, 0] - path.pressed_m[path.touching, 0].min()
-    behind = np.clip(0.2 + 0.8 * x / x[path.touching].max(), 0.0, 1.0)
-    motions = [Motion(k * STEP_M * np.array([1.0, 0.3, 0.0]), 0.05 * k) for k in range(9)]
-    for k in range(3, 9):
-        motions[k] = replace(motions[k], lost=(k - 2) / k * behind)
-    eyes, shares = Eyes(1000), []
-    for seed, truth in enumerate(path.along(motions)):
-        slip = eyes.pipeline.process(eyes.see(truth, seed), frozenset({"slip"})).slip
-        shares.append(np.nan if slip is None else slip.share)
-    assert shares[1:3] == [0.0, 0.0]
-    assert shares[3] > 0.2
-    assert np.isnan(shares[-1])
-    known = np.array(shares[1:])[np.isfinite(shares[1:])]
-    assert (np.diff(known) >= 0.0).all()
-
-
 def test_slip_is_unknown_after_too_few_points_were_left_to_compare_with():
     """What moves together from then on may stick or slide."""
     wide, _ = press("puck", 0.005)
