@@ -8,12 +8,7 @@ import pytest
 from bubbleviz.calibration import Quantity, Settings, Step, Workbench, write_sensor
 from bubbleviz.camera import PixelModel
 from bubbleviz.errors import InputError
-from bubbleviz.membrane import (
-    balance_tension,
-    build_mesh,
-    reference_tension,
-    rubber_and_variants,
-)
+from bubbleviz.membrane import balance_tension, build_mesh, reference_tension, rubber_and_variants
 from bubbleviz.recordings import find_contact_free
 from bubbleviz.sensor import load_sensor
 from tests.small_press import changed

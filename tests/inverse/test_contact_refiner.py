@@ -18,13 +18,7 @@ from bubbleviz.inverse import (
     touching_share,
     without_small,
 )
-from bubbleviz.membrane import (
-    ForwardModel,
-    RubberForward,
-    RubberMembrane,
-    mesh_cap,
-    refined_part,
-)
+from bubbleviz.membrane import ForwardModel, RubberForward, RubberMembrane, mesh_cap, refined_part
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import Frame
 from bubbleviz.rigid_object import load_object

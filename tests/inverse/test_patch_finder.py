@@ -23,13 +23,7 @@ from bubbleviz.result import Estimate
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import load_sensor
 from bubbleviz.simulation import SyntheticSource
-from tests.inverse.conftest import (
-    DOME_CAMERA,
-    GAUGE,
-    SENSOR,
-    dome_images,
-    fine_mesh,
-)
+from tests.inverse.conftest import DOME_CAMERA, GAUGE, SENSOR, dome_images, fine_mesh
 from tests.membrane.domes import pose
 from tests.rubber_renders import rubber_truth
 

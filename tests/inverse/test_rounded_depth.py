@@ -5,14 +5,7 @@ import pytest
 
 from bubbleviz.camera import PixelModel, RangeObserver
 from bubbleviz.membrane import mesh_cap, spherical_cap
-from tests.inverse.test_rubber_estimator import (
-    CAMERA,
-    A,
-    H,
-    depth_image_of,
-    estimator,
-    pressed,
-)
+from tests.inverse.test_rubber_estimator import CAMERA, A, H, depth_image_of, estimator, pressed
 
 NOISE_M = 1e-4
 

@@ -18,11 +18,7 @@ from bubbleviz.inverse import (
     RubberBubble,
     touching_share,
 )
-from bubbleviz.membrane import (
-    RubberForward,
-    RubberMembrane,
-    mesh_cap,
-)
+from bubbleviz.membrane import RubberForward, RubberMembrane, mesh_cap
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.rigid_object import load_object
 from bubbleviz.sensor import Camera, load_sensor

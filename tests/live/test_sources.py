@@ -7,17 +7,7 @@ import numpy as np
 import pytest
 from realsense_file import record_realsense
 from streams import messages_in, played, recorded
-from wire import (
-    IMAGE,
-    INFO,
-    NOW,
-    PERIOD,
-    PRESSURE,
-    SECOND,
-    STORE,
-    depth,
-    gas,
-)
+from wire import IMAGE, INFO, NOW, PERIOD, PRESSURE, SECOND, STORE, depth, gas
 
 from bubbleviz.api.watching import Watcher
 from bubbleviz.errors import InputError

@@ -9,11 +9,7 @@ from small_press import small_source
 from bubbleviz.api.simulating import Simulation
 from bubbleviz.errors import InputError
 from bubbleviz.recordings import Recording
-from bubbleviz.simulation import (
-    RecordingWithTruth,
-    read_truth,
-    with_truth_file,
-)
+from bubbleviz.simulation import RecordingWithTruth, read_truth, with_truth_file
 
 FRAMES = 3
 

@@ -11,15 +11,7 @@ from fakes import FIRST_CONTACT, FRAMES, DentSource, GappySource, small_sensor
 from PySide6.QtCore import QEvent, QPoint, QPointF
 from PySide6.QtGui import QFontMetrics
 from PySide6.QtWidgets import QApplication
-from window_driver import (
-    CONTACT,
-    LEFT,
-    clipboard_text,
-    drawn_curve,
-    graphics_view,
-    hover,
-    painted,
-)
+from window_driver import CONTACT, LEFT, clipboard_text, drawn_curve, graphics_view, hover, painted
 
 from bubbleviz.inverse import PatchFinder
 from bubbleviz.recordings import find_gaps

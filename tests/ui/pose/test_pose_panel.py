@@ -12,15 +12,7 @@ import trimesh
 from PySide6.QtCore import QPoint, Qt
 from PySide6.QtWidgets import QApplication
 from scipy.spatial.transform import Rotation
-from window_driver import (
-    CTRL,
-    LEFT,
-    SHIFT,
-    Driver,
-    axes_corner,
-    no_pending_timers,
-    view_texts,
-)
+from window_driver import CTRL, LEFT, SHIFT, Driver, axes_corner, no_pending_timers, view_texts
 
 from bubbleviz.files import presets_folder
 from bubbleviz.rigid_object import load_object
