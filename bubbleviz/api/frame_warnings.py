@@ -18,8 +18,8 @@ from bubbleviz.zeros import Zeros, camera_moved, drift_warning
 
 _MISFIT = "no frame looks like the membrane of this sensor"
 _OTHER_FILE = (
-    "choose the sensor file of this camera, and check its pose (quaternion_xyzw), the gas pressure "
-    "and the unit of depth (m in 32FC1, mm in 16UC1)"
+    "choose the sensor file of this camera, and check the gas pressure, the camera's pose "
+    "(quaternion_xyzw) and the unit of depth (m in 32FC1, mm in 16UC1)"
 )
 NO_FRAME_FITS = f"{_MISFIT}; {_OTHER_FILE}"
 RECENT_FRAMES = 10_000

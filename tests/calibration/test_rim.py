@@ -83,6 +83,7 @@ def test_wrong_tilt_of_the_camera_is_found_by_the_plane_of_the_rim(degrees):
 def test_depth_that_ends_early_has_no_edge_in_a_plane():
     edge = ring(0.004 * np.sin(np.linspace(0.0, 6.0 * np.pi, 400)))
     assert rim_plane(edge, CAP.centre_m, camera_at()) is None
+    assert rim_plane(ring()[:0], CAP.centre_m, camera_at()) is None  # dome beyond the image
 
 
 def test_a_small_arc_leaves_the_scale_open():
