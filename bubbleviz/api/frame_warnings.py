@@ -47,7 +47,7 @@ _SPOT_PERIOD_S, _SPOT_IMAGES = 0.3, 10
 """Least time between the contact-free images of which spots are means, and about the largest
 number of these, so that a spot that was removed is forgotten."""
 _SPOT_SIGMAS, _SPOT_SHARE = 5.0, 0.05
-"""Least mean error of a block of pixels, over the noise of that mean: one of a million by chance.
+"""Least mean error of a block of pixels, over the noise of that mean: one in a million by chance.
 If more than that share of all blocks has it, the sensor file is wrong."""
 
 
@@ -153,8 +153,8 @@ class FrameWarnings:
         yield "gas", self._gas_warning(facts) or _gas_gaps_warning(facts)
         yield "camera", _camera_warning(self._pipeline, self._where)
         misfits, others = (int(facts[name].sum()) for name in ("implausible", "ok"))
-        # The sensor file is confirmed by contact-free frames; those that were only found for the
-        # zeros are not solved like the others.
+        # Frames without contact confirm the sensor file. Those that were found for the zeros may
+        # not have been solved yet, and are too few to outweigh more frames that do not fit.
         confirmed = facts["no_contact"].any() or misfits < (self._zeros.rest_frames or 0)
         if misfits and not confirmed and not others:
             yield "fit", f"{_MISFIT} ({misfits:,} solved); {_OTHER_FILE}"

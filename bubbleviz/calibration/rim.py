@@ -18,7 +18,7 @@ _DRAWN_SIGMA_M = 0.5e-3 / np.sqrt(3.0)
 the edge of a clamp is hardly better defined."""
 _STEPS, _LARGEST_STEP, _TOLERANCE = 50, 0.1, 1e-4
 """Gauss–Newton steps and their limits; relative. The last is far below `_DRAWN_SIGMA_M`."""
-_FEWEST = 10  # points of an edge that has a plane, of some hundred; chosen
+_FEWEST = 10  # points that determine the plane of an edge, which has some hundred; chosen
 _IN_PLANE = 0.8  # least share of the edge in a plane, within the error of a drawn rim; chosen
 _DIFFERENCE = 1e-6  # for the derivatives; far above the rounding of doubles
 
@@ -65,7 +65,7 @@ def rim_plane(
     """Robust plane through the edge; None: a fifth of it or more is not in one plane.
 
     Depth that ends early, at the border of the image or at an obstacle, has no edge in a plane.
-    The pose keeps the turn about z, which a round rim does not tell.
+    The pose keeps the turn about z, which a round rim does not determine.
     """
     if len(edge_m) < _FEWEST:
         return None

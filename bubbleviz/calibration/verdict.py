@@ -51,10 +51,12 @@ def grade(found: Identification) -> Grade:
     tension = found.tension
     relative = _relative(tension)
     force = _relative(found.reference_force)
-    contradictory = found.contradicts_file or found.levels_contradict
-    contradictory |= found.chamber_contradicts_file
-    if _tilt_rad(found) > (force or _GOOD_FORCE):  # it turns every force
-        return "doubtful"
+    contradictory = (
+        found.contradicts_file
+        or found.levels_contradict
+        or found.chamber_contradicts_file
+        or _tilt_rad(found) > (force or _GOOD_FORCE)  # it turns every force
+    )
     if relative > _USABLE or force > _USABLE_FORCE or contradictory:
         return "doubtful"
     return "usable" if relative > _GOOD or _warnings(found, pascals) else "good"
@@ -132,8 +134,8 @@ def _warnings(found: Identification, pressure: PressureText) -> list[str]:
             f"The edge of the cloud lies in a plane tilted by {np.degrees(tilt_rad):.1f}° against "
             "the rim plane of the sensor file. If that edge is the rim, the camera's pose in the "
             "file is wrong, and the direction of every force by as much: enter position_m = "
-            f"[{position}] and quaternion_xyzw = [{turn}] in the initial sensor file (a turn about "
-            "z is not told by the rim), and identify from that file."
+            f"[{position}] and quaternion_xyzw = [{turn}] in the initial sensor file (the turn "
+            "about z is kept), and identify from that file."
         )
     gauge, candidates = found.gauge, found.gauge_candidates
     known_to = f"known to ±{_percent(gauge.half_width / gauge.value)}"

@@ -70,8 +70,9 @@ LAYERS: Mapping[str, LayerKind] = MappingProxyType(
         ),
         "readout": LayerKind(
             "Readout",
-            "Force, its part by friction, peak pressure and patch area at rest, in the view;\n"
-            "in brackets the areas of the smallest and the largest patch that noise allows",
+            "Force, its part by friction, peak pressure and patch area, in the view; in\n"
+            "brackets the areas of the smallest and the largest patch that noise allows, all\n"
+            "measured on the membrane at rest",
             PATCH,
         ),
         "frustum": LayerKind(
