@@ -58,25 +58,29 @@ class _Spots:
     """
 
     def __init__(self, observer: RangeObserver) -> None:
-        self._observer, self._time_s, self._count = observer, -math.inf, 0
+        self._observer, self._time_s = observer, -math.inf
+        self._images = set[int]()  # hashes; images of a looping source have the same noise again
         self._error = np.zeros(observer.blocks)  # mean, over the noise of one image
 
     def take(self, frame: Frame, result: Result) -> None:
-        """Use a contact-free image, unless it follows too soon on the one before."""
+        """Use a contact-free image, unless it repeats one or follows too soon on the one before."""
         observer, expected_m = self._observer, 0.0
         if result.estimate is None or abs(frame.time_s - self._time_s) < _SPOT_PERIOD_S:
+            return
+        if (image := hash(frame.depth_m.tobytes())) in self._images:
             return
         if (errors := result.estimate.image_errors) is not None:
             expected_m = observer.image_errors @ errors.mean
         seen = observer.observe(frame.depth_m)
         error = (seen.residual_m - expected_m) * np.sqrt(seen.weight) / result.frame.noise
-        self._time_s, self._count = frame.time_s, self._count + 1
-        self._error += (error - self._error) / min(self._count, _SPOT_IMAGES)
+        self._time_s = frame.time_s
+        self._images.add(image)
+        self._error += (error - self._error) / min(len(self._images), _SPOT_IMAGES)
 
     def text(self) -> str:
         """Warning that tells the place of the largest error; empty if there is none."""
         size, observer = np.abs(self._error), self._observer
-        images = min(self._count, _SPOT_IMAGES)
+        images = min(len(self._images), _SPOT_IMAGES)
         wrong = np.count_nonzero(size * math.sqrt(images) > _SPOT_SIGMAS)
         if images < 2 or not 0 < wrong < _SPOT_SHARE * len(size):
             return ""

@@ -38,3 +38,8 @@ def test_spot_of_dust_is_told_with_its_place(frames, error_m):
 
 def test_images_without_a_spot_give_no_warning(frames):
     assert bv.estimate(frames, SENSOR).warning is None
+
+
+def test_images_of_a_looping_source_give_no_warning(frames):
+    looping = [replace(frames[k % 3], index=k, time_s=0.11 * k) for k in range(18)]
+    assert bv.estimate(looping, SENSOR).warning is None
