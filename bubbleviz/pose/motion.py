@@ -92,6 +92,13 @@ class Motion:
         covariance = np.diag(np.concatenate([deviation, _VELOCITY]) ** 2)
         return cls(T_B_O, np.zeros(6), covariance, center)
 
+    @classmethod
+    def known(cls, T_B_O: np.ndarray, information: np.ndarray, center: np.ndarray) -> Motion:
+        """A pose known to some information (6, 6), and to the deviation of a searched one."""
+        covariance = np.zeros((12, 12))
+        covariance[:6, :6] = np.linalg.inv(information + SEARCH_INFORMATION)
+        return cls(T_B_O, np.zeros(6), covariance, center)
+
     @property
     def information(self) -> np.ndarray:
         """Inverse covariance (6, 6) of the pose."""
