@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bubbleviz.inverse.patch_edge import PatchEdge
-from bubbleviz.membrane import MembraneMesh, connected_parts
+from bubbleviz.membrane import MembraneMesh, connected_parts, grown, parts_with
 from bubbleviz.result import Estimate, FineContact, Patch
 
 
@@ -296,20 +296,21 @@ def touching_share(mesh: MembraneMesh, contact_pressure_pa: np.ndarray) -> np.nd
     that part only. The load of its whole cell is taken from neighbours that are not at the edge. On
     a sharp edge it also carries a line load, and its whole cell counts.
 
+    On a flat face the loads of single nodes are arbitrary: where one node is a few µm higher, its
+    neighbours carry nothing. So a hole in the contact counts only if one of its nodes has no
+    touching neighbour.
+
     Parameters
     ----------
     mesh : MembraneMesh
     contact_pressure_pa : (n,) array
         Contact pressure at the nodes: load over area.
     """
-    touching = contact_pressure_pa > 0.0
-    a, b = mesh.triangles.ravel(), np.roll(mesh.triangles, -1, axis=1).ravel()
-    a, b = np.concatenate([a, b]), np.concatenate([b, a])
-    inner = touching.copy()
-    inner[a[~touching[b]]] = False
-    whole = np.zeros(len(touching))
-    np.maximum.at(whole, a, np.where(inner[b], contact_pressure_pa[b], 0.0))
-    share = touching.astype(float)
+    touching, rings = contact_pressure_pa > 0.0, mesh.rings
+    touching = ~parts_with(rings, ~grown(rings, touching) | mesh.rim, ~touching)
+    inner = ~grown(rings, ~touching)
+    whole = np.where(inner, contact_pressure_pa, 0.0)[rings].max(axis=0)
     edge = touching & ~inner & (whole > 0.0)
+    share = touching.astype(float)
     share[edge] = np.minimum(contact_pressure_pa[edge] / whole[edge], 1.0)
     return share

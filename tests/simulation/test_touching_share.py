@@ -48,3 +48,16 @@ def test_line_loads_and_contacts_without_interior_count_fully():
     few = np.where(out < 1e-6, 7.0, 0.0)
     np.testing.assert_array_equal(touching_share(mesh, few), few > 0.0)
     assert not touching_share(mesh, np.zeros(len(out))).any()
+
+
+def test_single_nodes_without_load_are_no_hole_in_a_face():
+    """As on the flat end of a bar; a hole with a node that only free nodes surround is one."""
+    mesh = mesh_cap(CAP, 400)
+    out = np.hypot(*mesh.nodes[:, :2].T)
+    face = np.where(out < 0.02, 1.0, 0.0)
+    whole = touching_share(mesh, face)
+    lifted = face.copy()
+    lifted[np.flatnonzero(out < 0.012)[::7]] = 0.0
+    np.testing.assert_array_equal(touching_share(mesh, lifted), whole)
+    ring = np.where(out > 0.01, face, 0.0)
+    assert not touching_share(mesh, ring)[out < 0.01].any()
