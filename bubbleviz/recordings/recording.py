@@ -320,22 +320,26 @@ class Recording:
     def _is_of_other_clock(self, messages: Messages) -> bool:
         """Whether values were logged along with the images but stamped at other times; notes it.
 
-        Also where their clock was set, which `plausible_times` corrects for images alone.
+        Also where their clock was set, which `plausible_times` corrects for images alone. Notes
+        values logged at other times, too.
         """
         stamps = np.array([messages.stamp_ns(0), messages.stamp_ns(len(messages) - 1)])
         if (stamps <= 0).any():  # unset, or unreadable
             return False
-        ahead = stamps - messages.log_ns[[0, -1]]
-        if was_set := abs(int(ahead[1] - ahead[0])) > GARBAGE_NS:
-            what = f"the clock of {messages.topic.name} was set during the recording"
-        else:
-            ahead_s = (stamps[0] - self.stamps_ns[0]) * 1e-9
-            what = f"stamps on {messages.topic.name} are of another clock ({ahead_s:+.1f} s)"
-        apart = not _overlap(stamps, self.stamps_ns) and _overlap(messages.log_ns, self._log_ns)
-        if not (was_set or apart):
+        ahead, name = stamps - messages.log_ns[[0, -1]], messages.topic.name
+        ahead_s = (stamps[0] - self.stamps_ns[0]) * 1e-9
+        by_log, effect = True, "values are matched by log times"
+        if abs(int(ahead[1] - ahead[0])) > GARBAGE_NS:
+            what = f"the clock of {name} was set during the recording"
+        elif _overlap(stamps, self.stamps_ns):
             return False
-        self.note = "; ".join(filter(None, (self.note, f"{what}: values are matched by log times")))
-        return True
+        elif _overlap(messages.log_ns, self._log_ns):
+            what = f"stamps on {name} are of another clock ({ahead_s:+.1f} s)"
+        else:
+            what = f"{name} was recorded at another time than the images ({ahead_s:+.1f} s)"
+            by_log, effect = False, "its values are not used"
+        self.note = "; ".join(filter(None, (self.note, f"{what}: {effect}")))
+        return by_log
 
 
 def _overlap(one_ns: np.ndarray, other_ns: np.ndarray) -> bool:

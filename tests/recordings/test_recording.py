@@ -206,6 +206,16 @@ def test_log_times_replace_stamps_that_are_missing_or_of_another_clock(
         assert note in (recording.note or "")
 
 
+def test_values_recorded_at_another_time_are_not_used_and_noted(tmp_path):
+    bag = BagMaker("mcap file")
+    for k in range(7):
+        bag.image(START + k * PERIOD, depth_image(0))
+        bag.pressure(START + k * PERIOD - 3600 * SECOND, 1e5)
+    with Recording(bag.write(tmp_path)) as recording:
+        assert all(frame.gas_pressure_pa is None for frame in recording)
+        assert "/gas was recorded at another time than the images (-3600.0 s)" in recording.note
+
+
 @pytest.mark.parametrize(("late_s", "found"), [(0.09, True), (0.11, False)])
 def test_pressure_beyond_its_range_is_the_nearest_or_none(tmp_path, late_s, found):
     bag = BagMaker("mcap file")
