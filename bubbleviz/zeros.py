@@ -21,7 +21,7 @@ from bubbleviz.inverse import GAS_LAG, LINEAR, RUBBER
 from bubbleviz.pipeline import Pipeline
 from bubbleviz.recordings import LAG, Frame, FrameSource, HeldFrames, Recording, force_of
 from bubbleviz.result import HALF_95, Result
-from bubbleviz.sensor import WEATHER_SIGMA_PA, Pneumatics
+from bubbleviz.sensor import ATMOSPHERES, WEATHER_SIGMA_PA, Pneumatics
 
 ZERO_FRAMES = 15  # contact-free frames for a zero, which is their median: half a second at 30 Hz
 MIN_FRAMES = 3
@@ -188,15 +188,11 @@ class PressureZero:
     known, frames have the standard deviation of weather and altitude in `gas_sigma_pa`.
     """
 
-    def __init__(
-        self,
-        reference_pa: float,  # absolute pressure of the inflated, untouched bubble in the file, Pa
-        sigma_pa: float = WEATHER_SIGMA_PA,  # standard deviation of that of another day or place
-    ) -> None:
-        self.reference_pa, self.sigma_pa = reference_pa, sigma_pa
+    def __init__(self, pneumatics: Pneumatics) -> None:
+        self._pneumatics = pneumatics
         self.offset_pa: float | None = None  # of the measured pressure; None: unknown
         self.frames = 0  # contact-free frames used for the offset
-        self.frozen = False  # whether the sensor repeats one value, which then is not used
+        self.frozen = False  # whether the sensor repeats one value
         self._free: list[float] = []
         self._collecting = True
         self._to_skip = 0
@@ -205,29 +201,37 @@ class PressureZero:
         self._first_pa: float | None = None
         self._changed, self._followed = False, [0, 0]
 
-    @classmethod
-    def of(cls, pneumatics: Pneumatics) -> PressureZero:
-        """For a sensor file."""
-        return cls(pneumatics.reference_pressure_pa, pneumatics.atmospheric_sigma_pa)
+    @property
+    def reference_pa(self) -> float:
+        """Absolute pressure of the inflated, untouched bubble in the sensor file, Pa."""
+        return self._pneumatics.reference_pressure_pa
+
+    @property
+    def used(self) -> bool:
+        """Whether measured pressures are used.
+
+        Not if the sensor repeats one value, or if without contact they can be neither an absolute
+        pressure in Pa nor the gauge pressure, whose changes are right as well.
+        """
+        rest_pa, gauge_pa = self.rest_pa, self._pneumatics.gauge_pressure_pa
+        possible = rest_pa is None or rest_pa > ATMOSPHERES[0] or 0.5 < rest_pa / gauge_pa < 2.0
+        return possible and not self.frozen
 
     @property
     def waiting(self) -> bool:
         """Whether contact-free frames are still being collected."""
         return self._collecting
 
-    def refer_to(self, reference_pa: float, sigma_pa: float = WEATHER_SIGMA_PA) -> None:
-        """Use the gas pressure of another sensor file and its standard deviation, Pa.
+    def refer_to(self, pneumatics: Pneumatics) -> None:
+        """Use another sensor file.
 
         The pressure measured at rest is kept, so the offset changes with the reference. A new zero
         is collected, as frames without contact by one sensor file may have contact by the other.
         """
-        self.sigma_pa = sigma_pa
-        if reference_pa == self.reference_pa:
-            return
-        if self.offset_pa is not None:
-            self.offset_pa += self.reference_pa - reference_pa
-        self.reference_pa = reference_pa
-        self.zero_now()
+        rest_pa, before_pa = self.rest_pa, self.reference_pa
+        self._pneumatics = pneumatics
+        if self.reference_pa != before_pa:
+            self.restore(rest_pa, waiting=True)
 
     def zero_now(self) -> None:
         """Collect a new zero from the next contact-free frames; keep the offset until then."""
@@ -289,9 +293,10 @@ class PressureZero:
         if self.frozen:
             return "gas pressure zero: none, as the recorded pressure never changes; it is not used"
         if self.offset_pa is None:
-            causes = "weather" if self.sigma_pa == WEATHER_SIGMA_PA else "weather and altitude"
+            sigma_pa = self._pneumatics.atmospheric_sigma_pa
+            causes = "weather" if sigma_pa == WEATHER_SIGMA_PA else "weather and altitude"
             return (
-                f"gas pressure zero: unknown (±{1e-3 * HALF_95 * self.sigma_pa:.0f} kPa of "
+                f"gas pressure zero: unknown (±{1e-3 * HALF_95 * sigma_pa:.0f} kPa of "
                 f"{causes}, 95 %), as fewer than {MIN_FRAMES} contact-free frames in a row fit the "
                 "sensor file; the gas law of the chamber is used instead"
             )
@@ -306,10 +311,10 @@ class PressureZero:
         """The frame with corrected gas pressure, or with its standard deviation."""
         if frame.gas_pressure_pa is None:
             return frame
-        if self.frozen:
+        if not self.used:
             return replace(frame, gas_pressure_pa=None)
         if self.offset_pa is None:
-            return replace(frame, gas_sigma_pa=self.sigma_pa)
+            return replace(frame, gas_sigma_pa=self._pneumatics.atmospheric_sigma_pa)
         return replace(frame, gas_pressure_pa=frame.gas_pressure_pa - self.offset_pa)
 
 
@@ -379,7 +384,7 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
     others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
     if all(each is None for each in pressures) and all(each is None for each in others):
         return Zeros(None, image, still, len(rest))
-    gas = PressureZero.of(pipeline.model.sensor.pneumatics)
+    gas = PressureZero(pipeline.model.sensor.pneumatics)
     measured = [pressure for pressure in pressures if pressure is not None]
     if len(measured) >= MIN_FRAMES:
         gas.frozen = len(set(measured)) == 1 and _is_frozen(source)

@@ -121,7 +121,7 @@ class Estimator:
 
             refuse_frictionless_shear(pipeline)
             texture = PassingTexture(pipeline)
-        gas = PressureZero.of(pipeline.model.sensor.pneumatics) if self._zero_gas else None
+        gas = PressureZero(pipeline.model.sensor.pneumatics) if self._zero_gas else None
         products = PRODUCTS if texture is None else PRODUCTS | SHEAR
         self.solver = FrameSolver(
             pipeline, products, self._options, Zeros.of_stream(gas, pipeline), texture

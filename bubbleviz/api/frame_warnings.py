@@ -230,7 +230,7 @@ class FrameWarnings:
             causes.append("the camera drifted")
             remedies.append("let the camera warm up, check that it is fixed")
         gas = self._zeros.gas
-        if not _measured_pa(facts).size or (gas is not None and gas.frozen):
+        if not _measured_pa(facts).size or (gas is not None and not gas.used):
             causes.append("the gas pressure, which is not measured, does not follow the gas law")
             remedies.append("record the gas pressure, check chamber_volume_m3")
         else:
@@ -263,7 +263,8 @@ class FrameWarnings:
             measured_pa = _measured_pa(facts)
             median_pa = float(np.median(measured_pa)) if measured_pa.size else None
             return gas_warning(median_pa, known_pa, f"in the {where}")
-        return gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
+        text = gas_warning(zero.rest_pa, known_pa, f"without contact in the {where}")
+        return text if zero.used else f"{text}; it is not used, and forces are less certain"
 
 
 def _gas_gaps_warning(facts: np.ndarray) -> str:

@@ -250,5 +250,5 @@ class LiveSession:
 
 def _open(place: SensorPlace) -> LiveSensor:
     sensor = with_colour_delay(load_sensor(place.sensor), place.colour_delay_s)
-    zero = PressureZero.of(sensor.pneumatics)
+    zero = PressureZero(sensor.pneumatics)
     return LiveSensor(place, sensor, open_stream(place.source, sensor), zero)

@@ -11,11 +11,15 @@ from bubbleviz.errors import InputError
 from bubbleviz.recordings import Frame
 from bubbleviz.zeros import SKIPPED, ZERO_FRAMES, PressureZero
 
-REFERENCE = 103_910.5
+PNEUMATICS = bv.load_sensor("pico_flexx_75mm").pneumatics.model_copy(
+    update={"atmospheric_pressure_pa": 101_000.0}
+)
+OTHER = PNEUMATICS.model_copy(update={"gauge_pressure_pa": PNEUMATICS.gauge_pressure_pa + 1000.0})
+REFERENCE = PNEUMATICS.reference_pressure_pa
 
 
 def learned(pressures):
-    zero = PressureZero(REFERENCE)
+    zero = PressureZero(PNEUMATICS)
     for pressure in pressures:
         zero.learn(pressure, contact_free=True)
     return zero
@@ -63,19 +67,28 @@ def test_an_interrupted_contact_free_run_starts_again():
 
 def test_another_sensor_file_keeps_the_measured_rest_and_waits_again():
     zero = learned(np.full(ZERO_FRAMES, REFERENCE + 250.0))
-    zero.refer_to(REFERENCE)
+    zero.refer_to(PNEUMATICS)
     assert not zero.waiting
-    zero.refer_to(REFERENCE + 1000.0)
+    zero.refer_to(OTHER)
     assert zero.waiting
     assert zero.rest_pa == REFERENCE + 250.0
     assert zero.applied(frame(REFERENCE + 250.0)).gas_pressure_pa == REFERENCE + 1000.0
-    fresh = PressureZero(REFERENCE)
-    fresh.refer_to(REFERENCE + 1000.0)
+    fresh = PressureZero(PNEUMATICS)
+    fresh.refer_to(OTHER)
     assert fresh.rest_pa is None and fresh.offset_pa is None
 
 
+@pytest.mark.parametrize(
+    ("rest_pa", "used"), [(80e3, True), (2_500.0, True), (0.37, False), (2.6, False)]
+)
+def test_only_absolute_and_gauge_pressures_in_pascal_are_used(rest_pa, used):
+    """0.37 psi and 2.6 kPa are gauge pressures in other units: their changes are far too small."""
+    zero = learned(np.full(ZERO_FRAMES, rest_pa))
+    assert zero.applied(frame(rest_pa)).gas_pressure_pa == (REFERENCE if used else None)
+
+
 def test_zero_can_be_restored():
-    zero = PressureZero(REFERENCE)
+    zero = PressureZero(PNEUMATICS)
     zero.restore(REFERENCE - 40.0, waiting=False)
     assert zero.offset_pa == -40.0 and zero.rest_pa == REFERENCE - 40.0 and not zero.waiting
     zero.restore(None, waiting=True)

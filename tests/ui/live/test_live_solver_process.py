@@ -46,7 +46,7 @@ def none_left():
 @contextmanager
 def opened(sensor, demand, *, zero_pa=0.0, paired=False):
     """A solver and the live frames that it has open."""
-    zero, solver = PressureZero(sensor.pneumatics.reference_pressure_pa), Solver()
+    zero, solver = PressureZero(sensor.pneumatics), Solver()
     zero.restore(zero.reference_pa + zero_pa, waiting=False)
     with open_stream("synthetic:?rate=100&frames=2", sensor) as stream:
         frames = LiveFrames("press", stream, zero, paired=paired)

@@ -465,8 +465,7 @@ class Solver:
             frame = source[index]
             pipeline = Pipeline.of(sensor, frame.intrinsics, request.options)
             if stream is not None:
-                sigma_pa = sensor.pneumatics.atmospheric_sigma_pa
-                stream.zero.refer_to(pipeline.model.gas.P0, sigma_pa)
+                stream.zero.refer_to(sensor.pneumatics)
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
             bias, zeros = wrench_bias(source, pipeline), _zeros(source, request.source, pipeline)
             counted = FrameWarnings(pipeline, zeros)
