@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtri
+from scipy.special import chdtrc
 
 from bubbleviz.inverse import Estimator
 from bubbleviz.membrane import ObjectSurface, RubberMembrane, area_vectors
@@ -48,12 +48,12 @@ _FINALISTS = 2  # unlike poses of a search, which are refined
 _AS_LIKELY = 2.0 * np.log(20.0)
 """Difference of χ² at which one of two poses is 20 times as likely as the other, which is then
 refuted."""
-_REFUTED = 0.3
-"""Significance at which the contact refutes a pose found by the depth image. χ² of the true pose
-exceeds the least by more with this probability; its degrees of freedom are the directions that the
-contact determines. Chosen on a cylinder that tilts onto its edge: at 0.05 poses of half the seeds
-are 4 σ off, at 0.3 of one in six; at 0.5 a resting ball seems to turn. A torus at 1 % of noise is
-0.1 instead of 0.04 mm off along the contact's normals, inside its ellipsoid."""
+_DOUBTED, _REFUTED = 0.3, 0.05
+"""Significances at which the contact doubts and refutes a pose found by the depth image. χ² of the
+true pose exceeds the least by more with this probability; its degrees of freedom are the directions
+that the contact determines. The way from a doubted pose to the contact's is part of its covariance.
+Chosen on a cylinder that tilts onto its edge: without it, half of the seeds are 4 σ off. Where the
+edge of a puck touches, the image is doubted as much, but is nearer to the truth."""
 
 
 class Solution(NamedTuple):
@@ -70,7 +70,7 @@ class _ByImage(NamedTuple):
     motion: Motion
     persistent: np.ndarray  # (6, 6), covariance by model errors
     fit: Fit  # of stage two, at that pose
-    refuted: bool  # by the contact
+    chance: float  # that χ² of the contact exceeds its least by more at the true pose
 
     def undetermined(self, by_contact: Directions) -> np.ndarray:
         """Information (6, 6) in the directions that the contact does not determine."""
@@ -114,21 +114,19 @@ class Solver:
         between = time.perf_counter()
         fit = self._registration.stage_two(contact, first, predicted, iterations=iterations)
         by_image = self._image_fit(frame, contact, fit, predicted, tracking)
-        if by_image is not None and not by_image.refuted:
-            motion, persistent = by_image.motion, by_image.persistent
-            fit = by_image.fit
-        else:
-            known = np.zeros((6, 6))
-            if by_image is not None:  # the contact determines what it can, the image the rest
-                known = by_image.undetermined(directions(fit.surface, contact.radius_m))
-                prior = Motion.known(by_image.fit.T_B_O, known, contact.center)
-                fit = self._registration.stage_two(contact, by_image.fit, prior)
+        if by_image is None or by_image.chance < _REFUTED:
             # A membrane that fits worse than its errors allow, as at a tip, which the estimate
             # rounds off, has larger ones (Birge 1932).
             misfit = fit.rmse_m / self._registration.deviation_m(contact)
-            information = fit.surface / max(1.0, misfit**2) + known
+            information = fit.surface / max(1.0, misfit**2)
             motion = predicted.corrected(fit.T_B_O, information)
             persistent = np.linalg.inv(information + SEARCH_INFORMATION)
+        else:
+            motion, persistent = by_image.motion, by_image.persistent
+            if by_image.chance < _DOUBTED:
+                apart = self._from_contact(contact, fit, by_image)
+                persistent = persistent + np.outer(apart, apart)
+            fit = by_image.fit
         unknown = motion.covariance[:6, :6] + persistent
         if contact.image_errors is not None:
             T_B_C = self._observer.camera.T_B_C
@@ -152,6 +150,16 @@ class Solver:
             distance_limit_m=self._registration.distance_limit_m(contact),
         )
         return Solution(pose, fit, motion)
+
+    def _from_contact(self, contact: ContactPoints, fit: Fit, by_image: _ByImage) -> np.ndarray:
+        """Motion (6,) of a pose by the depth image to the one that the contact determines.
+
+        In the directions that the contact does not determine, the image determines that, too.
+        """
+        known = by_image.undetermined(directions(fit.surface, contact.radius_m))
+        prior = Motion.known(by_image.fit.T_B_O, known, contact.center)
+        nearby = self._registration.stage_two(contact, by_image.fit, prior)
+        return motion_between(by_image.fit.T_B_O, nearby.T_B_O, by_image.motion.center)
 
     def best(
         self,
@@ -237,8 +245,8 @@ class Solver:
         assert step is not None  # there is at least one
         seen = self._registration.at(contact, fit, T)
         count = max(float(np.count_nonzero(directed.determined)), 1.0)
-        refuted = seen.cost > fit.cost + float(chdtri(count, _REFUTED))
-        return _ByImage(predicted.corrected(T, information), step.persistent, seen, refuted)
+        chance = float(chdtrc(count, max(seen.cost - fit.cost, 0.0)))
+        return _ByImage(predicted.corrected(T, information), step.persistent, seen, chance)
 
 
 # Search for initial poses: each face on the patch, at each of several angles about its normal.
