@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from PySide6.QtCore import QEvent, QObject, QPointF, Qt
@@ -70,24 +71,18 @@ class NumberForm(QWidget):
         self._form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.WrapLongRows)
         self._labels: dict[str, QLabel] = {}
 
-    def set(self, name: str, text: str | None) -> None:
-        """Set a number; None: a dash."""
-        if name not in self._labels:
-            label = theme.bold(QLabel())
-            label.setWordWrap(True)
-            # else a row beside a long name is not wrapped, but its number is
-            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(WIDEST))
-            self._labels[name] = label
-            self._form.addRow(name, label)
-        self._labels[name].setText(DASH if text is None else text)
+    def write(self, texts: Mapping[str, str]) -> None:
+        """Show these numbers, and a dash for each other one shown before."""
+        for name, text in (dict.fromkeys(self._labels, DASH) | dict(texts)).items():
+            if name not in self._labels:
+                self._labels[name] = label = theme.bold(QLabel(wordWrap=True))
+                # else a row beside a long name is not wrapped, but its number is
+                label.setMinimumWidth(label.fontMetrics().horizontalAdvance(WIDEST))
+                self._form.addRow(name, label)
+            self._labels[name].setText(text)
 
     def text(self, name: str) -> str:
         return self._labels[name].text()
-
-    def clear(self) -> None:
-        """Show a dash for each number."""
-        for name in self._labels:
-            self.set(name, None)
 
 
 # An image with its colour scale and the value under the mouse.
@@ -117,7 +112,12 @@ class ImageView(QWidget):
         return self._cell.image
 
     def show_image(
-        self, title: str, image: np.ndarray | None, unit: Unit, low: float, high: float
+        self,
+        title: str,
+        image: np.ndarray | None,
+        unit: Unit,
+        low: float = 0.0,
+        high: float = 1.0,
     ) -> None:
         """Show an image (H, W) in SI with colours from `low` to `high`; None: no image."""
         self._host.prepare()

@@ -143,10 +143,10 @@ class Calibration(QObject):
     def settings(self) -> Settings:
         return self.work.settings
 
-    def edit(self, text: str, gesture: Hashable = None, **changes: Any) -> None:
-        """Change settings by name, as an undo step; those of one gesture are one step."""
+    def edit(self, text: str, *, dragged: bool = False, **changes: Any) -> None:
+        """Change settings by name, as an undo step; all numbers of a drag are one step."""
         new = replace(self.work, settings=replace(self.settings, **changes))
-        self._push(text, new, gesture)
+        self._push(text, new, self.undo.gesture(text) if dragged else None)
 
     def use_collected(self, frames: HeldFrames, settings: Settings) -> None:
         self._push(f"Collect {count_of(len(frames), 'frame')}", Work(settings, frames), None)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtWidgets import QHBoxLayout, QLabel
 
+from bubbleviz.calibration import Identification
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
 from bubbleviz_ui.engine.source import RECORDINGS
-from bubbleviz_ui.model.units import Units
+from bubbleviz_ui.model.units import DASH, Units
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import file_to_open
 
@@ -58,13 +59,17 @@ class RectificationPage(Page):
             (self.after, "Last frame, rectified", after),
         ):
             view.show_image(title, image, unit, -limit, limit)
-        for name, image in (("rms, not rectified", before), ("rms, rectified", after)):
-            rms = float(np.sqrt(np.nanmean(image**2))) if image is not None else None
-            self.numbers.set(name, unit.text(rms))
-        self._show_levels(answer)
-        self._show_rubber(answer)
+        images = {"rms, not rectified": before, "rms, rectified": after}
+        self._show_levels()
+        self.numbers.write(
+            {
+                name: DASH if image is None else unit.text(float(np.sqrt(np.nanmean(image**2))))
+                for name, image in images.items()
+            }
+            | (self._numbers(answer.found) if answer.found.complete else {})
+        )
 
-    def _show_levels(self, answer: Answer) -> None:
+    def _show_levels(self) -> None:
         settings = self.calibration.settings
         levels, vented = settings.levels, settings.vented
         self.drop.setEnabled(bool(levels))
@@ -73,32 +78,26 @@ class RectificationPage(Page):
             f"Further levels: {names}" if levels else "No further levels: an offset for each pixel."
         )
         self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
-        found = answer.found
-        line = found.pixels.line if found.complete else None
-        if line is None:
-            self.numbers.set("line", "offset only" if found.complete else None)
-            self.numbers.set("valid over", None)
-            return
-        slope, spread, span = line.typical(found.pixels.mask)
-        text = f"slope of true over measured range {slope:.4f}, σ between pixels {spread:.4f}"
-        self.numbers.set("line", f"{text}, {line.levels} levels")
-        text = f"{self.units.length.text(span)}; outside, the nearest level's offset"
-        self.numbers.set("valid over", text)
 
-    def _show_rubber(self, answer: Answer) -> None:
-        """Show λ and gauge pressure, or why they are not determined."""
-        names = "λ", "gauge pressure", "gauge pressure from"
-        shown: tuple[str | None, ...] = (None,) * len(names)
-        if answer.found.complete:
-            found = answer.found
-            gauge, stretch = found.gauge, found.prestretch
-            text = f"not determined: {found.why_not}"
-            if stretch is not None:
-                text = "{}, 95 % interval {} … {}".format(*stretch.texts(3))
-            pressure = self.units.gas_pressure.with_interval(gauge.value, gauge.half_width)
-            shown = text, pressure, gauge.source
-        for name, each in zip(names, shown, strict=True):
-            self.numbers.set(name, each)
+    def _numbers(self, found: Identification) -> dict[str, str]:
+        """Rectification, λ and gauge pressure, or why they are not determined."""
+        line, gauge, stretch = found.pixels.line, found.gauge, found.prestretch
+        fitted, valid = "offset only", DASH
+        if line is not None:
+            slope, spread, span = line.typical(found.pixels.mask)
+            fitted = f"slope of true over measured range {slope:.4f}, σ between pixels {spread:.4f}"
+            fitted += f", {line.levels} levels"
+            valid = f"{self.units.length.text(span)}; outside, the nearest level's offset"
+        text = f"not determined: {found.why_not}"
+        if stretch is not None:
+            text = "{}, 95 % interval {} … {}".format(*stretch.texts(3))
+        return {
+            "line": fitted,
+            "valid over": valid,
+            "λ": text,
+            "gauge pressure": self.units.gas_pressure.with_interval(gauge.value, gauge.half_width),
+            "gauge pressure from": gauge.source,
+        }
 
     def _choose_vented(self) -> None:
         path = file_to_open(self, "Recording of the open chamber", RECORDINGS, of="recording")

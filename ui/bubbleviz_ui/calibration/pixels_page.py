@@ -2,25 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import (
-    QComboBox,
-    QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
-    QSlider,
-    QSpinBox,
-)
+from PySide6.QtCore import QSignalBlocker
+from PySide6.QtWidgets import QComboBox, QDoubleSpinBox, QSpinBox
 
 from bubbleviz.calibration import SURFACE_NAMES, Identification, Step
 from bubbleviz.wording import count_of
 from bubbleviz_ui.calibration.calibration_page import ImageView, NumberForm, Page
 from bubbleviz_ui.calibration.calibration_session import Answer, Calibration
-from bubbleviz_ui.model.units import Unit, Units
-from bubbleviz_ui.shell.binding import options
+from bubbleviz_ui.model.units import DASH, Unit, Units
+from bubbleviz_ui.shell.binding import SliderBox, form, options
 from bubbleviz_ui.shell.dock import fill
 
 PICTURES = ("Pixels used", "Noise σ", "Validity")
@@ -44,59 +35,70 @@ class PixelsPage(Page):
         self.picture.addItems(PICTURES)
         self.picture.setToolTip("Quantity shown for each pixel")
         self.view = ImageView()
-        self.validity = Threshold(
+        self.validity = _threshold(
             units.share,
             1.0,
             "Share of the frames in which a pixel must have valid depth to be used; lowest value: "
             "automatic",
-            "automatic",
         )
-        self.deviations = Threshold(
+        self.validity.box.setSpecialValueText("automatic")
+        self.deviations = _threshold(
             Unit("σ", 1.0, 1),
             MOST_DEVIATIONS,
             "Pixels with noise or offset beyond this many robust standard deviations are excluded",
         )
         self.numbers = NumberForm()
-        form = QFormLayout()
-        form.addRow("Picture", self.picture)
-        form.addRow("Minimum validity", self.validity)
-        form.addRow("Maximum deviation", self.deviations)
-        fill(self.column, self.view, form, self.numbers, 1)
-        self.picture.currentIndexChanged.connect(lambda _: self._show_picture(calibration.answer))
-        self.validity.changed = lambda v, gesture: calibration.edit(
-            "Validity threshold", gesture, min_validity=v or None
+        rows = form(
+            ("Picture", self.picture),
+            ("Minimum validity", self.validity),
+            ("Maximum deviation", self.deviations),
         )
-        self.deviations.changed = lambda v, gesture: calibration.edit(
-            "Deviation threshold", gesture, deviations=max(v, 0.1)
+        fill(self.column, self.view, rows, self.numbers, 1)
+        self.picture.currentIndexChanged.connect(lambda _: self._show_picture(calibration.answer))
+        self.validity.valueChanged.connect(
+            lambda shown: calibration.edit(
+                "Validity threshold", dragged=True, min_validity=units.share.to_si(shown) or None
+            )
+        )
+        self.deviations.valueChanged.connect(
+            lambda shown: calibration.edit(
+                "Deviation threshold", dragged=True, deviations=max(shown, 0.1)
+            )
         )
 
     def show_answer(self, answer: Answer) -> None:
-        settings, found = self.calibration.settings, answer.found
-        samples, pixels = found.samples, found.pixels
-        self.validity.show_value(settings.min_validity or 0.0)
-        self.deviations.show_value(settings.deviations)
+        settings = self.calibration.settings
+        validity = self.units.share.from_si(settings.min_validity or 0.0)
+        for control, value in ((self.validity, validity), (self.deviations, settings.deviations)):
+            control.show_value(value)
         self._show_picture(answer)
+        self.numbers.write(self._numbers(answer.found))
+
+    def _numbers(self, found: Identification) -> dict[str, str]:
+        samples, pixels = found.samples, found.pixels
         if samples is None or pixels is None:
-            self.numbers.clear()
-            return
-        statistics, units = samples.statistics, self.units
-        used = int(pixels.mask.sum())
-        self.numbers.set("used", f"{used} of {pixels.mask.size} pixels")
+            return {}
+        statistics, used = samples.statistics, int(pixels.mask.sum())
         noise = float(np.median(pixels.noise_m[pixels.mask])) if used else None
-        self.numbers.set("noise of a pixel", units.fine_length.text(noise))
-        for reason, count in pixels.removed.items():
-            self.numbers.set(f"excluded, {reason.replace('_', ' ')}", count_of(count, "pixel"))
-        self.numbers.set("one independent sample", f"{statistics.correlated_pixels:.1f} pixels")
         effective = f"{statistics.effective_frames:.1f}"
-        self.numbers.set("frames", f"{statistics.frames}, as good as {effective} independent ones")
+        return {
+            "used": f"{used} of {pixels.mask.size} pixels",
+            "noise of a pixel": self.units.fine_length.text(noise),
+            **{
+                f"excluded, {reason.replace('_', ' ')}": count_of(count, "pixel")
+                for reason, count in pixels.removed.items()
+            },
+            "one independent sample": f"{statistics.correlated_pixels:.1f} pixels",
+            "frames": f"{statistics.frames}, as good as {effective} independent ones",
+        }
 
     def _show_picture(self, answer: Answer) -> None:
         samples, pixels = answer.found.samples, answer.found.pixels
         which = self.picture.currentText()
         if samples is None or pixels is None:
-            self.view.show_image(which, None, USED, 0.0, 1.0)
+            self.view.show_image(which, None, USED)
         elif which == PICTURES[0]:
-            self.view.show_image("Pixels used: bright", pixels.mask.astype(float), USED, 0.0, 1.0)
+            self.view.show_image("Pixels used: bright", pixels.mask.astype(float), USED)
         elif which == PICTURES[1]:
             noise = samples.statistics.noise_m.astype(float)
             mask = pixels.mask if pixels.mask.any() else np.isfinite(noise)
@@ -106,44 +108,13 @@ class PixelsPage(Page):
         else:
             validity = samples.statistics.validity.astype(float)
             title = "Share of the frames with valid depth"
-            self.view.show_image(title, validity, self.units.share, 0.0, 1.0)
+            self.view.show_image(title, validity, self.units.share)
 
 
-class Threshold(QHBoxLayout):
-    """Slider and box for one number; a drag of the slider is one undo step."""
-
-    STEPS = 200
-
-    def __init__(self, unit: Unit, highest_si: float, tip: str, lowest_text: str = "") -> None:
-        super().__init__()
-        self._unit, self._highest = unit, highest_si
-        self._drags = 0
-        self.changed: Callable[[float, object], None] = lambda value, gesture: None
-        self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setRange(0, self.STEPS)
-        self.box = QDoubleSpinBox(decimals=unit.digits, suffix=f" {unit.symbol}")
-        self.box.setRange(0.0, unit.from_si(highest_si))
-        self.box.setKeyboardTracking(False)
-        self.box.setSpecialValueText(lowest_text)
-        for part, stretch in ((self.slider, 1), (self.box, 0)):
-            part.setToolTip(tip)
-            self.addWidget(part, stretch)
-        self.slider.sliderPressed.connect(self._begin_drag)
-        self.slider.valueChanged.connect(self._on_slider)
-        self.box.valueChanged.connect(lambda shown: self.changed(unit.to_si(shown), None))
-
-    def show_value(self, value_si: float) -> None:
-        with QSignalBlocker(self.slider), QSignalBlocker(self.box):
-            if not self.slider.isSliderDown():
-                self.slider.setValue(round(value_si / self._highest * self.STEPS))
-            self.box.setValue(self._unit.from_si(value_si))
-
-    def _begin_drag(self) -> None:
-        self._drags += 1
-
-    def _on_slider(self, place: int) -> None:
-        gesture = (id(self), self._drags) if self.slider.isSliderDown() else None
-        self.changed(place / self.STEPS * self._highest, gesture)
+def _threshold(unit: Unit, highest_si: float, tip: str) -> SliderBox:
+    box = QDoubleSpinBox(decimals=unit.digits, suffix=f" {unit.symbol}")
+    box.setRange(0.0, unit.from_si(highest_si))
+    return SliderBox(box, tip)
 
 
 # Step 3: the reference surface, chosen automatically or by the user.
@@ -169,10 +140,8 @@ class SurfacePage(Page):
         self.choice.setToolTip("Shape of the reference surface x0 (Eq. 1)")
         self.nodes.setToolTip("Number of nodes of the surface mesh")
         self.numbers = NumberForm()
-        form = QFormLayout()
-        form.addRow("Surface", self.choice)
-        form.addRow("Nodes of the mesh", self.nodes)
-        fill(self.column, self.view, form, self.numbers, 1)
+        rows = form(("Surface", self.choice), ("Nodes of the mesh", self.nodes))
+        fill(self.column, self.view, rows, self.numbers, 1)
         self.choice.activated.connect(
             lambda row: calibration.edit("Choose the surface", surface=self.choice.itemData(row))
         )
@@ -185,31 +154,28 @@ class SurfacePage(Page):
             self.nodes.setValue(settings.nodes)
         surfaces, length = found.surfaces, self.units.fine_length
         if surfaces is None:
-            self.view.show_image("Residual to the surface", None, length, 0.0, 1.0)
-            self.numbers.clear()
+            self.view.show_image("Residual to the surface", None, length)
+            self.numbers.write({})
             return
-        mask = found.pixels.mask
-        limit = 3.0 * float(np.std(surfaces.residual_m[mask])) if mask.any() else 1e-3
-        self.view.show_image("Mean range minus surface", surfaces.residual_m, length, -limit, limit)
-        self._show_numbers(found)
-
-    def _show_numbers(self, found: Identification) -> None:
-        length, units, surfaces = self.units.fine_length, self.units, found.surfaces
-        self.numbers.set("chosen", surfaces.chosen)
         residual = surfaces.residual_m[found.pixels.mask]
+        limit = 3.0 * float(np.std(residual)) if residual.size else 1e-3
+        self.view.show_image("Mean range minus surface", surfaces.residual_m, length, -limit, limit)
         rms = float(np.sqrt(np.mean(residual**2))) if residual.size else None
-        self.numbers.set("residual, rms", length.text(rms))
-        for name, rms in surfaces.left_out_rms_m.items():
-            self.numbers.set(f"misfit of {name}", f"{length.text(rms)} rms")
-        axes = " · ".join(
-            f"{units.length.from_si(a):.{units.length.digits}f}" for a in surfaces.cap.semi_axes_m
-        )
-        self.numbers.set("ellipsoid's semi-axes", f"{axes} {units.length.symbol}")
-        radius = float(surfaces.sphere.semi_axes_m[0])
-        self.numbers.set("sphere's radius", units.length.text(radius))
-        self.numbers.set(
-            "edge of the measured points above the rim plane",
-            units.length.with_interval(surfaces.rim_height_m, 1.96 * surfaces.rim_height_sigma_m),
+        rim_half = 1.96 * surfaces.rim_height_sigma_m
+        unit = self.units.length
+        axes = " · ".join(f"{unit.from_si(a):.{unit.digits}f}" for a in surfaces.cap.semi_axes_m)
+        misfits = surfaces.left_out_rms_m.items()
+        self.numbers.write(
+            {
+                "chosen": surfaces.chosen,
+                "residual, rms": length.text(rms),
+                **{f"misfit of {name}": f"{length.text(each)} rms" for name, each in misfits},
+                "ellipsoid's semi-axes": f"{axes} {unit.symbol}",
+                "sphere's radius": unit.text(float(surfaces.sphere.semi_axes_m[0])),
+                "edge of the measured points above the rim plane": unit.with_interval(
+                    surfaces.rim_height_m, rim_half
+                ),
+            }
         )
 
 
@@ -236,31 +202,29 @@ class TensionPage(Page):
         fill(self.column, self.view, self.numbers, 1)
 
     def show_answer(self, answer: Answer) -> None:
-        units, found, unit = self.units, answer.found, self.units.tension
-        if not found.complete:
-            self.view.show_image("Local γ0", None, unit, 0.0, 1.0)
-            self.numbers.clear()
-            self.numbers.set("γ0", unit.text(None))
-            return
-        surfaces, tension = found.surfaces, found.tension
-        value = tension.value
-        self.view.show_image(
-            "Local γ0",
-            answer.local_tension,
-            unit,
-            (1.0 - SPREAD) * value,
-            (1.0 + SPREAD) * value,
-        )
-        show = self.numbers.set
-        show("γ0", unit.with_interval(value, tension.half_width))
-        show("95 % interval", unit.between(tension.low, tension.high))
-        for name, size in surfaces.dimensions.items():
-            text = units.length.with_interval(size.value, size.half_width)
-            show(name.removesuffix("_m").replace("_", " "), text)
-        show("gauge pressure", units.gas_pressure.text(found.gauge.value))
-        more = unit.text(100.0 * surfaces.tension_m.value, signed=True)
-        show("γ0 per gauge pressure", f"{more} for {units.gas_pressure.text(100.0)} more")
-        for name, each in found.tension_by_surface.items():
-            show(f"γ0 from the {name}", unit.text(each))
-        for name, sigma in found.tension_parts.items():
-            show(f"σ of γ0 from {name.replace('_', ' ')}", unit.text(sigma))
+        found, unit = answer.found, self.units.tension
+        value = found.tension.value if found.complete else 1.0
+        ends = (1.0 - SPREAD) * value, (1.0 + SPREAD) * value
+        self.view.show_image("Local γ0", answer.local_tension, unit, *ends)
+        self.numbers.write(self._numbers(found) if found.complete else {"γ0": DASH})
+
+    def _numbers(self, found: Identification) -> dict[str, str]:
+        units, unit, tension = self.units, self.units.tension, found.tension
+        more = unit.text(100.0 * found.surfaces.tension_m.value, signed=True)
+        return {
+            "γ0": unit.with_interval(tension.value, tension.half_width),
+            "95 % interval": unit.between(tension.low, tension.high),
+            **{
+                name.removesuffix("_m").replace("_", " "): units.length.with_interval(
+                    size.value, size.half_width
+                )
+                for name, size in found.surfaces.dimensions.items()
+            },
+            "gauge pressure": units.gas_pressure.text(found.gauge.value),
+            "γ0 per gauge pressure": f"{more} for {units.gas_pressure.text(100.0)} more",
+            **{f"γ0 from the {k}": unit.text(v) for k, v in found.tension_by_surface.items()},
+            **{
+                f"σ of γ0 from {name.replace('_', ' ')}": unit.text(sigma)
+                for name, sigma in found.tension_parts.items()
+            },
+        }

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PySide6.QtCore import QSignalBlocker, Qt
-from PySide6.QtWidgets import (
-    QComboBox,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QLineEdit,
-    QSpinBox,
-)
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QLineEdit, QSpinBox
 
 from bubbleviz.calibration import Step, advice, parameters, sentence
 from bubbleviz.files import presets_folder
@@ -24,6 +17,7 @@ from bubbleviz_ui.calibration.levels_page import RectificationPage
 from bubbleviz_ui.calibration.pixels_page import SurfacePage
 from bubbleviz_ui.model.units import Unit, Units
 from bubbleviz_ui.shell import theme
+from bubbleviz_ui.shell.binding import form
 from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.table import Table
 
@@ -176,19 +170,23 @@ class ValidationPage(Page):
         self._show_numbers(found)
 
     def _show_numbers(self, found: Validation | None) -> None:
-        show, length, force = self.numbers.set, self.units.fine_length, self.units.force
         self.summary.setVisible(found is not None)
         if found is None:
             return
+        length, force = self.units.fine_length, self.units.force
         self.summary.setText(found.summary)
         colours = theme.of(self)
         self.summary.setStyleSheet(f"color: {colours.doubtful if found.failures else colours.good}")
-        show("distance, rms", length.text(found.rms_m))
-        show("distance, 95th percentile", length.text(found.p95_m))
-        show("distance from rest, rms", length.text(found.untouched_rms_m))
-        show("overlap of the patches", self.units.share.text(found.patch_overlap))
-        show("force predicted", force.text(float(np.linalg.norm(found.predicted_force_n))))
-        show("force estimated", force.text(float(np.linalg.norm(found.measured_force_n))))
+        self.numbers.write(
+            {
+                "distance, rms": length.text(found.rms_m),
+                "distance, 95th percentile": length.text(found.p95_m),
+                "distance from rest, rms": length.text(found.untouched_rms_m),
+                "overlap of the patches": self.units.share.text(found.patch_overlap),
+                "force predicted": force.text(float(np.linalg.norm(found.predicted_force_n))),
+                "force estimated": force.text(float(np.linalg.norm(found.measured_force_n))),
+            }
+        )
 
     def _on_predict(self) -> None:
         self.calibration.edit(
@@ -200,15 +198,14 @@ class ValidationPage(Page):
         )
 
     def _lay_out(self) -> None:
-        self.column.addWidget(self.view)
-        form = QFormLayout()
-        form.addRow("Object", self.obj)
-        form.addRow("Pose: x y z in m,\nqx qy qz qw", self.pose)
         frames = fill(QHBoxLayout(), self.first, QLabel("to"), self.last, 1)
-        form.addRow("Frames", frames)
-        self.column.addLayout(form)
+        rows = form(
+            ("Object", self.obj),
+            ("Pose: x y z in m,\nqx qy qz qw", self.pose),
+            ("Frames", frames),
+        )
         buttons = fill(QHBoxLayout(), self.predict, self.remove)
-        fill(self.column, buttons, self.summary, self.numbers, 1)
+        fill(self.column, self.view, rows, buttons, self.summary, self.numbers, 1)
         self.pose.setToolTip(
             "T_B_O, the object's pose in B: x y z in m, qx qy qz qw; origin of B: middle of the "
             "rim plane"

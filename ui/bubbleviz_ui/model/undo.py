@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, NamedTuple
 
 from PySide6.QtCore import Qt, SignalInstance
 from PySide6.QtGui import QGuiApplication, QUndoCommand, QUndoStack
@@ -48,33 +47,27 @@ class UndoStep(QUndoCommand):
             self.apply(self.new)
 
 
-@dataclass
-class _Watched:
-    """A watched value, and what it was at the last check."""
+class _Watched(NamedTuple):
+    """A watched value."""
 
-    text: str
     value: Callable[[], Any]
     apply: Callable[[Any], None]
     continuous: bool
-    last: Any
 
 
 class UndoRecorder:
     """Watches everything that can be set, and pushes changes onto the undo stack."""
 
     def __init__(self, state: SessionState, stack: QUndoStack) -> None:
-        self.stack = stack
+        self.stack, self._state = stack, state
         self._suspended = 0
         self._gesture, self._changed_s = 0, 0.0
-        self._parts: list[_Watched] = []
-
-        def change(values: dict[str, Any]) -> None:
-            state.change(**values)
-
-        self.watch("", state.settings_changed, lambda: state.settings, change, continuous=True)
+        self._parts: dict[str, _Watched] = {}  # By their texts
+        self._last: dict[str, Any] = {}  # Settings and watched values at the last check
+        state.settings_changed.connect(self._record)
+        state.source_changed.connect(self._update_last)
         self.watch("range", state.range_changed, lambda: state.play_range, state.set_range)
         self.watch("marker", state.markers_changed, lambda: state.markers, state.set_markers)
-        state.source_changed.connect(self._update_last)
 
     def watch(
         self,
@@ -84,15 +77,13 @@ class UndoRecorder:
         value: Callable[[], Any],
         apply: Callable[[Any], None],  # Sets a value
         *,
-        continuous: bool = False,  # Contains numbers that may be dragged
+        continuous: bool = False,  # A number that may be dragged
     ) -> None:
         """Record changes of a value on the stack."""
-        self._parts.append(_Watched(text, value, apply, continuous, value()))
+        self._parts[text] = _Watched(value, apply, continuous)
+        self._update_last()
         if changed is not None:
-            changed.connect(self._on_changed)
-
-    def _on_changed(self, *_: object) -> None:
-        self._record()
+            changed.connect(self._record)
 
     def watch_box(self, text: str, box: QWidget) -> None:
         """Record changes of a widget's value, text or check mark on the stack."""
@@ -112,7 +103,7 @@ class UndoRecorder:
             yield
         finally:
             self._suspended -= 1
-            self._record(text)
+            self._record(text=text)
 
     @contextmanager
     def unrecorded(self) -> Iterator[None]:
@@ -137,74 +128,66 @@ class UndoRecorder:
         else:
             self.stack.push(UndoStep(self, text, apply, old, new, gesture))
 
-    def _update_last(self) -> None:
-        for part in self._parts:
-            part.last = part.value()
-
-    def _record(self, text: str = "") -> None:
-        """Record all differences since the last check as one step."""
-        if self._suspended:
-            return
-        before, after = dict[int, Any](), dict[int, Any]()
-        for number, part in enumerate(self._parts):
-            last, part.last = part.last, part.value()
-            old, new = _changed_fields(last, part.last)
-            if old != new:
-                before[number], after[number] = old, new
-        if before:
-            name = text or self._text(min(before), before[min(before)])
-            self.push(name, self._use, before, after, self._gesture_of(before, after))
-
-    def _text(self, number: int, old: Any) -> str:
-        return self._parts[number].text or Settings.info(min(old)).label
-
-    def _use(self, values: dict[int, Any]) -> None:
-        for number, value in values.items():
-            self._parts[number].apply(value)
-
-    def _gesture_of(self, before: dict[int, Any], after: dict[int, Any]) -> Hashable:
-        """Numbers being dragged and the gesture's number; None if anything else has changed."""
-        numbers = set[Hashable]()
-        for part, old in before.items():
-            for path, a, b in _differences((part,), old, after[part]):
-                if not (self._parts[part].continuous and (_is_number(a) or _is_number(b))):
-                    return None
-                numbers.add(path)
-        return frozenset(numbers), self._current_gesture()
-
-    def _current_gesture(self) -> int:
+    def gesture(self, what: Hashable) -> Hashable:
+        """The present gesture, if it goes on to change the same numbers."""
         now = time.monotonic()
         button_down = QGuiApplication.mouseButtons() != Qt.MouseButton.NoButton
         if not button_down and now - self._changed_s > GESTURE_S:
             self._gesture += 1
         self._changed_s = now
-        return self._gesture
+        return what, self._gesture
+
+    def _values(self) -> dict[str, Any]:
+        settings = {k: v for k, v in vars(self._state.settings).items() if k not in LAYOUT}
+        return settings | {text: part.value() for text, part in self._parts.items()}
+
+    def _update_last(self) -> None:
+        self._last = self._values()
+
+    def _record(self, *_: object, text: str = "") -> None:
+        """Record all differences since the last check as one step."""
+        if self._suspended:
+            return
+        last, self._last = self._last, self._values()
+        names = [name for name, value in self._last.items() if value != last[name]]
+        if names:
+            old, new = ({name: values[name] for name in names} for values in (last, self._last))
+            single = [each for k in names for each in _differences((k,), old[k], new[k])]
+            dragged = all(self._may_drag(path[0]) and _are_numbers(*ab) for path, *ab in single)
+            gesture = self.gesture(frozenset(path for path, *_ in single)) if dragged else None
+            first = names[0]
+            if not text and first not in self._parts:
+                text = Settings.info(min(old.keys() - self._parts.keys())).label
+            self.push(text or first, self._use, old, new, gesture)
+
+    def _may_drag(self, name: str) -> bool:
+        return name not in self._parts or self._parts[name].continuous
+
+    def _use(self, values: dict[str, Any]) -> None:
+        self._state.change(**{k: v for k, v in values.items() if k not in self._parts})
+        for name, part in self._parts.items():
+            if name in values:
+                part.apply(values[name])
 
 
-def _changed_fields(old: Any, new: Any) -> tuple[Any, Any]:
-    """Old and new value; of settings only the changed fields, as others may change unrecorded."""
-    if not isinstance(old, Settings):
-        return old, new
-    names = [f.name for f in fields(old) if getattr(old, f.name) != getattr(new, f.name)]
-    before, after = ({k: getattr(one, k) for k in names if k not in LAYOUT} for one in (old, new))
-    return before, after
-
-
-def _differences(path: tuple[Any, ...], old: Any, new: Any) -> Iterator[tuple[Hashable, Any, Any]]:
-    """Paths and values of the single values that differ."""
-    if isinstance(old, ComparedSetting):
-        old, new = vars(old), vars(new)
-    elif isinstance(old, tuple) and any(isinstance(each, ComparedSetting) for each in old):
-        old, new = dict(enumerate(old)), dict(enumerate(new))
-    if isinstance(old, dict):
-        for name in old.keys() | new.keys():
-            yield from _differences((*path, name), old.get(name), new.get(name))
+def _differences(path: tuple[Any, ...], old: Any, new: Any) -> Iterator[tuple[Any, Any, Any]]:
+    """Paths and values of the single values that differ; those within settings of Compare, too."""
+    pairs: list[tuple[Any, Any, Any]] = []
+    if path == ("compared",):
+        pairs = [(k, *each) for k, each in enumerate(zip(old, new, strict=True))]
+    elif isinstance(old, ComparedSetting):
+        pairs = [(k, value, getattr(new, k)) for k, value in vars(old).items()]
     elif old != new:
         yield path, old, new
+    for name, a, b in pairs:
+        yield from _differences((*path, name), a, b)
 
 
-def _is_number(value: object) -> bool:
-    """Whether it is a number or a tuple of numbers."""
-    if isinstance(value, tuple):
-        return all(map(_is_number, value))
-    return isinstance(value, int | float) and not isinstance(value, bool)
+def _are_numbers(*values: object) -> bool:
+    """Whether any is a number or a tuple of numbers; others are None."""
+    return any(
+        all(map(_are_numbers, value))
+        if isinstance(value, tuple)
+        else isinstance(value, int | float) and not isinstance(value, bool)
+        for value in values
+    )

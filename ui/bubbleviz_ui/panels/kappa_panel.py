@@ -7,17 +7,8 @@ from typing import Any
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QPointF, Qt
-from PySide6.QtWidgets import (
-    QCheckBox,
-    QDoubleSpinBox,
-    QFormLayout,
-    QHBoxLayout,
-    QLabel,
-    QSlider,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtCore import QPointF
+from PySide6.QtWidgets import QCheckBox, QDoubleSpinBox, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from bubbleviz.diagnostics import KappaCurve
 from bubbleviz.inverse import Component
@@ -30,12 +21,11 @@ from bubbleviz_ui.model.units import DASH, UNIT_CHOICES, Units
 from bubbleviz_ui.panels.plot_host import Part, PlotHost
 from bubbleviz_ui.panels.time_plot import FramePlot
 from bubbleviz_ui.shell import theme
-from bubbleviz_ui.shell.binding import Binding, control
+from bubbleviz_ui.shell.binding import Binding, SliderBox, control, form
 from bubbleviz_ui.shell.dock import fill
 from bubbleviz_ui.shell.table import Table
 from bubbleviz_ui.shell.theme import BLUE, ORANGE
 
-STEPS_PER_DECADE = 100
 INITIAL_KAPPA = 3.0
 """First κ offered after the automatic threshold."""
 
@@ -46,24 +36,17 @@ class KappaPanel(QWidget):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self._state = state
-        self.by_kappa = QWidget()
         self.automatic = QCheckBox("Automatic threshold")
         self.automatic.setToolTip(
             "Ticked: the patch is the part under contact pressure; its edge follows from gas "
             "pressure and camera resolution.\nUnticked: it is where the contact pressure p_c "
             "exceeds κ times its mean over the membrane (section V-C of the paper)"
         )
-        self.slider = QSlider(Qt.Orientation.Horizontal)
         info = Settings.info("kappa")
-        self.slider.setRange(
-            *(round(STEPS_PER_DECADE * math.log10(end)) for end in (info.low, info.high))
-        )
-        self.slider.setPageStep(10)
-        self.slider.setToolTip(info.tip)
         self.box = QDoubleSpinBox(minimum=info.low, maximum=info.high, decimals=2, prefix="κ = ")
-        self.box.setToolTip(info.tip)
         self.box.setStepType(QDoubleSpinBox.StepType.AdaptiveDecimalStepType)
-        self.box.setKeyboardTracking(False)
+        self.box.setValue(INITIAL_KAPPA)
+        self.by_kappa = SliderBox(self.box, info.tip, logarithmic=True)
         self.solver = control(state, "solver")
         self.numbers = tuple(theme.bold(QLabel()) for _ in range(4))
         self.threshold, self.area, self.by_object, self.force = self.numbers
@@ -75,38 +58,22 @@ class KappaPanel(QWidget):
         self.doubt = theme.doubtful(QLabel(wordWrap=True))
         self._lay_out()
         self.show_result(NO_RESULT)
-        self._bind(state)
-
-    def _lay_out(self) -> None:
-        fill(QHBoxLayout(self.by_kappa), (self.slider, 1), self.box, margins=(0, 0, 0, 0))
-        self._form = form = QFormLayout()
-        form.setHorizontalSpacing(16)
-        form.addRow("Threshold", self.threshold)
-        form.addRow("Patch area", self.area)
-        form.addRow("By the object", self.by_object)
-        form.addRow("Force", self.force)
-        form.addRow(self.solver.accessibleName(), self.solver)
-        fill(
-            QVBoxLayout(self),
-            self.automatic,
-            self.by_kappa,
-            form,
-            self.doubt,
-            1,
-            margins=(12, 10, 12, 12),
-        )
-
-    def _bind(self, state: SessionState) -> None:
         Binding(self.automatic, state, "kappa", lambda kappa: kappa is None, self._automatic)
-        self._kappa = (
-            Binding(self.slider, state, "kappa", _to_steps, _to_kappa),
-            Binding(self.box, state, "kappa"),
-        )
+        Binding(self.by_kappa, state, "kappa")
         state.follow({"kappa"}, self._show_kappa_controls)
         self._show_kappa_controls()
-        if state.settings.kappa is None:
-            for each in self._kappa:
-                each.show(INITIAL_KAPPA)
+
+    def _lay_out(self) -> None:
+        self._form = form(
+            ("Threshold", self.threshold),
+            ("Patch area", self.area),
+            ("By the object", self.by_object),
+            ("Force", self.force),
+            self.solver,
+        )
+        self._form.setHorizontalSpacing(16)
+        parts = self.automatic, self.by_kappa, self._form, self.doubt
+        fill(QVBoxLayout(self), *parts, 1, margins=(12, 10, 12, 12))
 
     def _automatic(self, on: bool) -> float | None:
         return None if on else self.box.value()
@@ -129,14 +96,6 @@ class KappaPanel(QWidget):
         self.force.setText(force_text(result, units, final=self._state.final))
         self.doubt.setText(untrusted_text(result))
         self.doubt.setVisible(bool(self.doubt.text()))
-
-
-def _to_steps(kappa: float | None) -> int | None:
-    return None if kappa is None else round(STEPS_PER_DECADE * math.log10(kappa))
-
-
-def _to_kappa(steps: float) -> float:
-    return round(10.0 ** (steps / STEPS_PER_DECADE), 2)
 
 
 # Plots over κ with the threshold as a draggable line.
@@ -171,7 +130,7 @@ class KappaAxisPlot(FramePlot):
         return None
 
     def _on_dragged(self, line: Any) -> None:
-        self._state.change(kappa=_to_kappa(STEPS_PER_DECADE * line.value()))
+        self._state.change(kappa=round(10.0 ** line.value(), 2))
 
 
 class KappaHistogram(KappaAxisPlot):

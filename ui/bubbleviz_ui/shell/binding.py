@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from PySide6.QtCore import QEvent, QObject, Qt
+from PySide6.QtCore import QEvent, QObject, QSignalBlocker, Qt
 from PySide6.QtGui import QAction, QKeyEvent, QKeySequence
 from PySide6.QtWidgets import (
     QAbstractButton,
@@ -15,6 +16,8 @@ from PySide6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QFormLayout,
+    QHBoxLayout,
+    QLayout,
     QLineEdit,
     QMenu,
     QSlider,
@@ -26,10 +29,57 @@ from PySide6.QtWidgets import (
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.model.settings import SettingInfo, Settings
 from bubbleviz_ui.model.units import UNIT_CHOICES, Unit, Units
-from bubbleviz_ui.shell.dock import tool_button
+from bubbleviz_ui.shell.dock import fill, tool_button
+
+
+class SliderBox(QWidget):
+    """Slider beside the box of a number; `valueChanged` as of the box."""
+
+    STEPS = 300
+
+    def __init__(self, box: QDoubleSpinBox, tip: str, *, logarithmic: bool = False) -> None:
+        super().__init__()
+        self.slider, self.box, self._logarithmic = (
+            QSlider(Qt.Orientation.Horizontal),
+            box,
+            logarithmic,
+        )
+        self.slider.setRange(0, self.STEPS)
+        for part in (self.slider, box):
+            part.setToolTip(tip)
+        box.setKeyboardTracking(False)
+        fill(QHBoxLayout(self), (self.slider, 1), box, margins=(0, 0, 0, 0))
+        self.value, self.setValue, self.valueChanged = box.value, box.setValue, box.valueChanged
+        self.slider.valueChanged.connect(self._on_slider)
+        box.valueChanged.connect(self._follow)
+        self._follow(box.value())
+
+    def show_value(self, value: float) -> None:
+        """Show a value without `valueChanged`."""
+        with QSignalBlocker(self.box):
+            self.box.setValue(value)
+        if not self.slider.isSliderDown():  # else it would jump to where the box rounds it
+            self._follow(value)
+
+    def _on_slider(self, place: int) -> None:
+        low, high = self._ends
+        value = low + (high - low) * place / self.STEPS
+        self.box.setValue(10.0**value if self._logarithmic else value)
+
+    def _follow(self, value: float) -> None:
+        low, high = self._ends
+        value = math.log10(value) if self._logarithmic else value
+        with QSignalBlocker(self.slider):
+            self.slider.setValue(round((value - low) / (high - low) * self.STEPS))
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        low, high = self.box.minimum(), self.box.maximum()
+        return (math.log10(low), math.log10(high)) if self._logarithmic else (low, high)
+
 
 Box = QAbstractButton | QAbstractSlider | QSpinBox | QDoubleSpinBox | QComboBox
-Control = Box | QAction
+Control = Box | QAction | SliderBox
 
 
 def _identity(value: Any) -> Any:
@@ -149,12 +199,16 @@ def widget(info: SettingInfo) -> Box:
     return box
 
 
-def form(*controls: QWidget) -> QFormLayout:
-    """Form of controls with their labels."""
-    rows = QFormLayout()
-    for box in controls:
-        rows.addRow("" if isinstance(box, QCheckBox) else box.accessibleName(), box)
-    return rows
+def form(*rows: QWidget | tuple[str, QWidget | QLayout]) -> QFormLayout:
+    """Form of controls with their labels, or of rows with these titles."""
+    made = QFormLayout()
+    for row in rows:
+        if isinstance(row, tuple):
+            title, box = row
+            made.addRow(title, box)
+        else:
+            made.addRow("" if isinstance(row, QCheckBox) else row.accessibleName(), row)
+    return made
 
 
 def _unit(info: SettingInfo, units: Units) -> Unit:
