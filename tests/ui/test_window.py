@@ -49,9 +49,9 @@ def test_contact_and_layers_are_drawn_for_each_threshold_and_solver(drive):
     panel = driver.window.kappa
     solved, area = driver.pipeline.counts["estimate"], panel.area.text()
     driver.click(panel.automatic)
-    panel.slider.setFocus()
+    panel.by_kappa.slider.setFocus()
     for _ in range(3):
-        driver.bot.keyClick(panel.slider, Qt.Key.Key_PageUp)
+        driver.bot.keyClick(panel.by_kappa.slider, Qt.Key.Key_PageUp)
     kappa = driver.state.settings.kappa
     assert kappa == pytest.approx(panel.box.value())
     driver.wait(lambda: panel.area.text() != area)

@@ -28,7 +28,8 @@ class MainWindow(PanelWindow):
         self.files = Files(self, self.session_saver)
         self.menus = Menus(self, self.session_saver, self.files)
         self.shortcuts = keys = self.menus.shortcuts
-        self.playback.use_actions(keys)
+        for panel in (self.playback, self.tools, self.live):
+            panel.use_actions(keys)
         self.undo_recorder.watch("keys", keys.edited, lambda: keys.changed, keys.use)
 
     def close_without_asking(self) -> None:

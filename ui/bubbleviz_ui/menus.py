@@ -27,7 +27,7 @@ from bubbleviz_ui.model.source_facts import SourceFacts, name_of
 from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panel_window import PanelWindow
 from bubbleviz_ui.panels.status_bar import PerformancePopup
-from bubbleviz_ui.panels.view_tools_panel import VIEWS
+from bubbleviz_ui.panels.view_tools_panel import TOOLS, VIEWS
 from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.shell.binding import Binding, bind_exclusive, bind_membership
@@ -270,24 +270,30 @@ class Menus(QObject):
     def _live(self, menu: QMenu) -> None:
         window, live = self._window, self._window.live_controller
         self._add(menu, "&Connect…", self.show_connect, "Ctrl+L")
-        self._add(menu, "&Disconnect", live.leave, "Ctrl+Shift+L")
+        tip = "Disconnect, or stop connecting"
+        self._add(menu, "&Disconnect", live.leave, "Ctrl+Shift+L", tip)
         menu.addSeparator()
         CheckMark(
-            self._switch(menu, "&Record", "Ctrl+R"),
+            self._switch(menu, "&Record", "Ctrl+R", "Record the live source to a new file"),
             lambda: live.recording.busy,
             lambda _: live.toggle_recording(),
             live.recording.changed,
         )
         self._add(menu, "Recording &folder…", window.live.choose_folder)
         self._add(menu, "Add a &note…", window.live.start_note, "Shift+M")
+        tip = (
+            "Start or stop publishing patch, force, pose and diagnostics over Zenoh (address: Live "
+            "→ Publish at)"
+        )
         CheckMark(
-            self._switch(menu, "&Publish results", "Ctrl+Shift+R"),
+            self._switch(menu, "&Publish results", "Ctrl+Shift+R", tip),
             lambda: live.publishing.on,
             lambda _: live.toggle_publishing(),
             live.publishing.changed,
         )
         self._add(menu, "Publish &at…", self._publish_at)
-        self._add(menu, "&Zero gas pressure", live.zero_now, "Ctrl+Shift+G")
+        tip = "Zero the gas pressure in the next contact-free frames"
+        self._add(menu, "&Zero gas pressure", live.zero_now, "Ctrl+Shift+G", tip)
         self._add(menu, "&Switch sensor", window.group.choose_next, "B")
 
     def _view(self, menu: QMenu) -> None:
@@ -295,13 +301,21 @@ class Menus(QObject):
         self._add(menu, "&Reset view", window.scene.reset_view, "R")
         look = menu.addMenu("&View from")
         for number, (viewpoint, title) in enumerate(VIEWS.items(), start=1):
-            self._add(look, title, partial(window.scene.look_from, viewpoint), f"Ctrl+{number}")
-        turn = window.tools.turn
-        turntable = self._switch(menu, "T&urntable", "T")
-        CheckMark(turntable, turn.isChecked, turn.setChecked, turn.toggled)
-        self._tool(menu, "probe", "&Probe a point")
-        self._tool(menu, "distance", "Measure &distance and profile")
-        self._add(menu, "&Clear probe", partial(window.tools.use_tool, "rotate"), "Esc")
+            go, side = (
+                partial(window.scene.look_from, viewpoint),
+                f"{viewpoint}, in the bubble frame B",
+            )
+            tip = f"View from the {'depth camera' if viewpoint == 'camera' else side}"
+            self._add(look, title, go, f"Ctrl+{number}", tip)
+        tip = "Rotate about the vertical automatically, 30° per second"
+        self._switch(menu, "T&urntable", "T", tip).toggled.connect(
+            window.tools.turntable.set_turning
+        )
+        for name, (_, title, keys, tip) in TOOLS.items():
+            tool = self._switch(menu, title, keys, tip)
+            tool.triggered.connect(
+                lambda on, name=name: window.tools.use_tool(name if on else "rotate")
+            )
         self._add(menu, "Reset p&ose", window.pose.session.reset, "Ctrl+Shift+F")
         layers = menu.addMenu("&Visible layers")
         for name, kind in LAYERS.items():
@@ -325,16 +339,6 @@ class Menus(QObject):
                 menu.addAction(panel.toggleViewAction())
         bind_membership(self._switch(menu, "Status bar"), window.state, "panels", "status")
 
-    def _tool(self, menu: QMenu, name: str, title: str) -> None:
-        """Add an action that selects a tool; unchecked, the mouse only rotates."""
-        tools = self._window.tools
-        CheckMark(
-            self._switch(menu, title),
-            tools.tools[name].isChecked,
-            lambda on: tools.use_tool(name if on else "rotate"),
-            tools.tools[name].toggled,
-        )
-
     def _one_of(self, menu: QMenu, *fields: str) -> None:
         """Add exclusive actions for the values of each setting."""
         for field in fields:
@@ -351,8 +355,9 @@ class Menus(QObject):
         title: str,
         do: Callable[[], object],
         keys: str | QKeySequence.StandardKey | None = None,
+        tip: str = "",  # Of buttons that do the same
     ) -> QAction:
-        action = QAction(title, menu)
+        action = QAction(title, menu, whatsThis=tip)
         if keys is not None:
             action.setShortcut(QKeySequence(keys))
         action.triggered.connect(lambda: do())
@@ -372,9 +377,9 @@ class Menus(QObject):
             menu, title, lambda: _deleted_on_close(make(self._window, *arguments)).show(), keys
         )
 
-    def _switch(self, menu: QMenu, title: str, keys: str = "") -> QAction:
+    def _switch(self, menu: QMenu, title: str, keys: str = "", tip: str = "") -> QAction:
         """Add a checkable action."""
-        action = QAction(title, menu, checkable=True)
+        action = QAction(title, menu, checkable=True, whatsThis=tip)
         action.setShortcut(QKeySequence(keys))
         menu.addAction(action)
         return action

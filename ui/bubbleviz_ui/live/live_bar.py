@@ -33,6 +33,7 @@ from bubbleviz_ui.model.units import Units
 from bubbleviz_ui.shell import theme
 from bubbleviz_ui.shell.dock import BarLayout, Elided, fill, tool_button
 from bubbleviz_ui.shell.file_dialogs import remember
+from bubbleviz_ui.shell.shortcuts import Shortcuts
 from bubbleviz_ui.view3d.render_view import View
 
 BADGES: dict[Badge, str] = {
@@ -78,35 +79,36 @@ class LiveBar(QFrame):
         # in a narrow bar the rate needs a second line at times: the bar does not jump
         self.state.setMinimumHeight(2 * self.state.fontMetrics().height())
         self.sensors: list[QToolButton] = []
-        self.record = tool_button("● Record", "", live.toggle_recording, checkable=True)
+        self.record, self.zero, self.publish, self.leave = (QToolButton() for _ in range(4))
         self.note = QLineEdit()
         self.note.setPlaceholderText("Note, stamped with the time when you began to write")
         self.note.setMinimumWidth(100)
         self.note.setToolTip("Enter saves the note in the recording")
         self.note.hide()
         self._noted_ns: int | None = None
-        self.zero = tool_button(
-            "Zero gas",
-            "Zero the gas pressure in the next contact-free frames (Ctrl+Shift+G)",
-            live.zero_now,
-        )
-        self.publish = tool_button(
-            "Publish",
-            "Start or stop publishing patch, force, pose and diagnostics over Zenoh (address: Live "
-            "→ Publish at)",
-            live.toggle_publishing,
-            checkable=True,
-        )
-        self.leave = tool_button(
-            "Disconnect",
-            "Disconnect, or stop connecting (Ctrl+Shift+L)",
-            live.leave,
-        )
         self.counts = Elided(Qt.TextElideMode.ElideRight)
         theme.dim(self.counts)
         self._lay_out()
         self._connect()
         self.show_all()
+
+    def use_actions(self, shortcuts: Shortcuts) -> None:
+        """Give the buttons the function, state and tool tip of the menu's actions."""
+        buttons = {
+            self.record: "Record",
+            self.zero: "Zero gas pressure",
+            self.publish: "Publish results",
+            self.leave: "Disconnect",
+        }
+        shortcuts.give(buttons, "Live")
+        self._name(self.zero, "Zero gas")
+        self._name(self.publish, "Publish")
+        self.show_all()
+
+    @staticmethod
+    def _name(button: QToolButton, text: str) -> None:
+        if (action := button.defaultAction()) is not None:
+            action.setIconText(text)
 
     def show_all(self) -> None:
         """Update everything after a change of session or source."""
@@ -116,7 +118,7 @@ class LiveBar(QFrame):
         for widget in (self.record, self.zero, self.publish, self.counts):
             widget.setVisible(run is not None)
         self.leave.setVisible(run is not None or waits)
-        self.leave.setText("Cancel" if waits else "Disconnect")
+        self._name(self.leave, "Cancel" if waits else "Disconnect")
         self._make_sensors()
         self._rate_samples = None
         self.update_status()
@@ -137,7 +139,6 @@ class LiveBar(QFrame):
             drawn = live.connection_state != "connecting"  # until then something else may be open
             badge = live.state.badge if drawn else "connecting"
             self._show_badge(badge, status.silence or self._rate_text(counters.frames, badge))
-        self.publish.setChecked(live.publishing.on)
         # faults first: a narrow bar elides the rest
         texts = [
             *fault_texts(counters),
@@ -155,8 +156,9 @@ class LiveBar(QFrame):
 
     def _lay_out(self) -> None:
         row, head, none = QWidget(), QWidget(), (0, 0, 0, 0)
-        self._head = fill(QHBoxLayout(head), (self.state, 1), self.note, margins=none, spacing=6)
-        BarLayout(row, head, self.record, self.zero, self.publish, self.leave, margins=none)
+        left = (self.state, 1), self.leave, self.note
+        self._head = fill(QHBoxLayout(head), *left, margins=none, spacing=6)
+        BarLayout(row, head, self.record, self.zero, self.publish, margins=none)
         fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
@@ -197,12 +199,9 @@ class LiveBar(QFrame):
         """Update button and note of recording; returns its progress, if any."""
         recording, button = self._live.recording, self.record
         status, busy = recording.status(), recording.busy
-        button.setChecked(busy)
-        button.setText("■ Stop" if busy else "● Record")
+        self._name(button, "■ Stop" if busy else "● Record")
         # at least as wide as it was before: other controls do not move
         button.setMinimumWidth(max(button.minimumWidth(), button.sizeHint().width()))
-        begin = f"Record the live source to a new file in {recording.folder}"
-        button.setToolTip(f"{'End the recording' if busy else begin} (Ctrl+R)")
         if not busy:
             self.note.hide()
         if status is None:

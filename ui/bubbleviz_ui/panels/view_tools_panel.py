@@ -10,11 +10,11 @@ import numpy as np
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QImage, QPixmap
 from PySide6.QtWidgets import (
-    QButtonGroup,
     QHBoxLayout,
     QLabel,
     QSlider,
     QSpinBox,
+    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -29,12 +29,13 @@ from bubbleviz_ui.model.units import UNIT_CHOICES
 from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.panels.profile_plot import ProfilePlot
 from bubbleviz_ui.shell.binding import Binding, control, form
-from bubbleviz_ui.shell.dock import fill, push_button, tool_button
+from bubbleviz_ui.shell.dock import fill, push_button
 from bubbleviz_ui.shell.file_dialogs import (
     file_to_save,
     name_of_output,
     write_picture,
 )
+from bubbleviz_ui.shell.shortcuts import STEP, Shortcuts
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene
 from bubbleviz_ui.view3d.tools import Turntable, Viewpoint, picture_of
@@ -43,14 +44,23 @@ VIEWS: dict[Viewpoint, str] = {
     "top": "Top", "side": "Side", "front": "Front", "camera": "Camera"
 }  # fmt: skip
 TOOLS = {
-    "rotate": ("Rotate", "Drag to rotate the scene, wheel to zoom"),
-    "probe": ("Probe", "Click on the membrane or a measured point to show its numbers until Esc"),
+    "rotate": ("Rotate", "&Clear probe", "Esc", "Drag to rotate the scene, wheel to zoom"),
+    "probe": (
+        "Probe",
+        "&Probe a point",
+        "",
+        "Click on the membrane or a measured point to show its numbers until Esc",
+    ),
     "distance": (
         "Distance",
+        "Measure &distance and profile",
+        "",
         "Click on two points: their distance, and a profile of height and pressure between them; a "
         "third starts again",
     ),
 }
+"""Text of each button, title in the menu, keys and tip."""
+VIEW_FROM = f"View{STEP}View from"
 HINTS = {
     "rotate": ("Drag rotates, wheel zooms,", "middle button moves", ""),
     "probe": ("Click on the membrane", "or on a measured point", ""),
@@ -78,7 +88,10 @@ class ViewTools(QWidget):
         self.picked = Hover(controller)
         self.profile = ProfilePlot(state, controller)
         self._extent_m = 0.1
-        self._make_buttons()
+        self.views = {name: QToolButton() for name in VIEWS}
+        self.tools = {name: QToolButton() for name in TOOLS}
+        self.turn = QToolButton()
+        self.reading = [QLabel() for _ in range(3)]
         self._make_settings(state)
         self._lay_out()
         self._bind(state)
@@ -86,25 +99,15 @@ class ViewTools(QWidget):
         self._on_settings()
         state.follow(SHOWN, self._on_settings)
 
-    def _make_buttons(self) -> None:
-        self.views = {
-            name: tool_button(
-                title,
-                f"View from the {name}, in the bubble frame B",
-                partial(self._scene.look_from, name),
-            )
-            for name, title in VIEWS.items()
-        }
-        self.views["camera"].setToolTip("View from the depth camera")
-        self.tools = {
-            name: tool_button(title, tip, lambda _, name=name: self.use_tool(name), checkable=True)
-            for name, (title, tip) in TOOLS.items()
-        }
-        group = QButtonGroup(self)
-        for button in self.tools.values():
-            group.addButton(button)
-        self.tools["rotate"].setChecked(True)
-        self.reading = [QLabel() for _ in range(3)]
+    def use_actions(self, shortcuts: Shortcuts) -> None:
+        """Give the buttons the function, state and tool tip of the menu's actions."""
+        titles = {name: title.replace("&", "") for name, (_, title, *_) in TOOLS.items()}
+        shortcuts.give({self.views[name]: title for name, title in VIEWS.items()}, VIEW_FROM)
+        shortcuts.give({self.tools[name]: title for name, title in titles.items()}, "View")
+        shortcuts.give({self.turn: "Turntable"}, "View")
+        for name, (text, *_) in TOOLS.items():
+            self.tools[name].defaultAction().setIconText(text)
+        self.use_tool(self.tool)
 
     def _make_settings(self, state: SessionState) -> None:
         self.colour_map = control(state, "colour_map")
@@ -119,8 +122,6 @@ class ViewTools(QWidget):
         self.save = push_button(
             "Save…", "Save a picture of the 3-D view at this size, PNG", self._choose_file
         )
-        tip = "Rotate about the vertical automatically, 30° per second"
-        self.turn = tool_button("Turntable", tip, checkable=True)
 
     def _lay_out(self) -> None:
         rows = form(self.colour_map, self.exaggeration, self.section)
@@ -151,7 +152,6 @@ class ViewTools(QWidget):
         )
 
     def _connect(self, controller: Controller) -> None:
-        self.turn.toggled.connect(self.turntable.set_turning)
         self._view.clicked.connect(self._on_clicked)
         self.picked.changed.connect(self._show_reading)
         controller.opened.connect(self._on_opened)
@@ -161,7 +161,8 @@ class ViewTools(QWidget):
     def use_tool(self, name: str) -> None:
         """Select what a click in the view does: `rotate` (nothing), `probe` or `distance`."""
         self.tool = name
-        self.tools[name].setChecked(True)
+        for each, button in self.tools.items():
+            button.setChecked(each == name)
         self.picked.leave()
         self.ends_m = []
         pointer = Qt.CursorShape.ArrowCursor if name == "rotate" else Qt.CursorShape.CrossCursor

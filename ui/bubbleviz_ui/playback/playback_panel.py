@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QResizeEvent
@@ -19,7 +18,7 @@ from bubbleviz_ui.model.throttle import Throttle
 from bubbleviz_ui.playback.timeline import Timeline
 from bubbleviz_ui.shell.binding import control
 from bubbleviz_ui.shell.dock import Steady, fill
-from bubbleviz_ui.shell.shortcuts import STEP, Shortcuts
+from bubbleviz_ui.shell.shortcuts import Shortcuts
 
 PLAY, PAUSE = "▶", "▮▮"
 TIMELINE_EVERY_MS = 200
@@ -69,18 +68,10 @@ class PlaybackPanel(QWidget):
 
     def use_actions(self, shortcuts: Shortcuts) -> None:
         """Give the buttons the function, state and tool tip of the menu's actions."""
-        for name, button in self.buttons.items():
-            action = shortcuts.actions[f"Playback{STEP}{name}"]
-            action.setIconText({**MOVES, **MODES}[name])
-            button.setDefaultAction(action)
-        self._tell_keys(shortcuts)
-        shortcuts.edited.connect(partial(self._tell_keys, shortcuts))
+        shortcuts.give({button: name for name, button in self.buttons.items()}, "Playback")
+        for name, text in {**MOVES, **MODES}.items():
+            self.buttons[name].defaultAction().setIconText(text)
         self._show_all()
-
-    def _tell_keys(self, shortcuts: Shortcuts) -> None:
-        for name, button in self.buttons.items():
-            keys = shortcuts.keys(f"Playback{STEP}{name}")
-            button.defaultAction().setToolTip(f"{name} ({keys})" if keys else name)
 
     def _lay_out(self) -> None:
         moves = [self.buttons[name] for name in MOVES]

@@ -14,9 +14,9 @@ from PySide6.QtWidgets import (
     QBoxLayout,
     QDockWidget,
     QFrame,
+    QHBoxLayout,
     QLabel,
     QLayout,
-    QLayoutItem,
     QMainWindow,
     QPushButton,
     QScrollArea,
@@ -254,8 +254,8 @@ def resize_on_screen(window: QWidget, width: int, height: int) -> None:
     window.resize(QSize(width, height).boundedTo(window.screen().availableSize() - FRAME))
 
 
-class BarLayout(QLayout):
-    """A text followed by controls, which wrap into rows below it if narrow."""
+class BarLayout(QBoxLayout):
+    """A text beside controls, or above them if narrow."""
 
     def __init__(
         self,
@@ -264,99 +264,24 @@ class BarLayout(QLayout):
         *controls: QWidget,
         margins: tuple[int, int, int, int],  # Left, top, right and bottom, screen pixels
     ) -> None:
-        super().__init__(parent)
-        self._items: list[QLayoutItem] = []
-        self.setContentsMargins(*margins)
-        self.setSpacing(6)
-        for widget in (text, *controls):
-            self.addWidget(widget)
-
-    def addItem(self, item: QLayoutItem) -> None:
-        """Append an item."""
-        self._items.append(item)
-
-    def count(self) -> int:
-        """Number of items, including hidden ones."""
-        return len(self._items)
-
-    def itemAt(self, index: int) -> QLayoutItem | None:
-        """Item by index; None beyond the last."""
-        return self._items[index] if 0 <= index < len(self._items) else None
-
-    def takeAt(self, index: int) -> QLayoutItem | None:
-        """Remove and return an item."""
-        return self._items.pop(index) if 0 <= index < len(self._items) else None
-
-    def hasHeightForWidth(self) -> bool:
-        """Whether the height depends on the width."""
-        return True
-
-    def heightForWidth(self, width: int) -> int:
-        """Height of all rows, screen pixels."""
-        return self._place(QRect(0, 0, width, 0), move=False)
-
-    def sizeHint(self) -> QSize:
-        """Size of all items in one row."""
-        hints = [item.sizeHint() for item in self._shown()]
-        width = sum(hint.width() + self.spacing() for hint in hints)
-        height = max((hint.height() for hint in hints), default=0)
-        return QSize(width, height).grownBy(self.contentsMargins())
+        super().__init__(QBoxLayout.Direction.LeftToRight, parent)
+        self._text, self._controls = text, fill(QHBoxLayout(), *controls, spacing=6)
+        fill(self, (text, 1), self._controls, margins=margins, spacing=6)
 
     def minimumSize(self) -> QSize:
-        """Width of the widest item, and height of all rows at the present width."""
-        least = QSize()
-        for item in self._shown():
-            least = least.expandedTo(item.minimumSize())
-        least = least.grownBy(self.contentsMargins())
-        width = self.geometry().width()
-        return QSize(least.width(), self.heightForWidth(width) if width else least.height())
+        """Width of the wider part, and height at the present width."""
+        least = self._text.minimumSizeHint().expandedTo(self._controls.minimumSize())
+        width = least.grownBy(self.contentsMargins()).width()
+        return QSize(width, self.minimumHeightForWidth(max(self.geometry().width(), width)))
 
     def setGeometry(self, area: QRect) -> None:
-        """Place all items."""
-        bar, resized = self.parentWidget(), area.width() != self.geometry().width()
+        beside = area.width() - self._controls.sizeHint().width()
+        direction = QBoxLayout.Direction.LeftToRight
+        if beside < min(self._text.sizeHint().width(), MIN_TEXT):
+            direction = QBoxLayout.Direction.TopToBottom
+        if direction != self.direction():
+            self.setDirection(direction)
         super().setGeometry(area)
-        self._place(area, move=True)
-        if bar is not None and resized:  # may need another number of rows
-            bar.updateGeometry()
-
-    def _shown(self) -> list[QLayoutItem]:
-        return [item for item in self._items if not item.isEmpty()]
-
-    def _place(self, area: QRect, *, move: bool) -> int:
-        """Height needed for the width of an area; with `move`, place the items there."""
-        inner, gap = area.marginsRemoved(self.contentsMargins()), self.spacing()
-        top = inner.top()
-        for row in self._rows(inner.width()):
-            heights = [_height(item, width) for item, width in row]
-            left, high = inner.left(), max(heights)
-            for (item, width), height in zip(row, heights, strict=True):
-                if move:
-                    item.setGeometry(QRect(left, top + (high - height) // 2, width, height))
-                left += width + gap
-            top += high + gap
-        return top - gap - area.top() + self.contentsMargins().bottom()
-
-    def _rows(self, room: int) -> list[list[tuple[QLayoutItem, int]]]:
-        """Items of each row with their widths."""
-        shown, gap = self._shown(), self.spacing()
-        if not shown:
-            return []
-        text, controls = shown[0], [(item, item.sizeHint().width()) for item in shown[1:]]
-        rest = room - sum(width + gap for _, width in controls)
-        if rest >= min(text.sizeHint().width(), MIN_TEXT):
-            return [[(text, rest), *controls]]
-        rows, left = [[(text, room)]], 0
-        for item, width in controls:
-            if left < width:
-                rows.append([])
-                left = room
-            rows[-1].append((item, width))
-            left -= width + gap
-        return rows
-
-
-def _height(item: QLayoutItem, width: int) -> int:
-    return item.heightForWidth(width) if item.hasHeightForWidth() else item.sizeHint().height()
 
 
 Do = Callable[..., object] | SignalInstance

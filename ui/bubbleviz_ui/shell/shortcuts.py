@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
     QMenuBar,
     QTableWidget,
     QTableWidgetItem,
+    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -75,6 +76,18 @@ class Shortcuts(QObject):
         super().__init__(bar)
         self.actions = dict(_named(bar, ""))  # By path: `View › Theme › Dark`
         self._defaults = {name: list(a.shortcuts()) for name, a in self.actions.items()}
+        self.edited.connect(self._tell_keys)
+        self._tell_keys()
+
+    def give(self, buttons: Mapping[QToolButton, str], menu: str) -> None:
+        """Give buttons the function, state and tool tip of the actions of a menu."""
+        for button, name in buttons.items():
+            button.setDefaultAction(self.actions[menu + STEP + name])
+
+    def _tell_keys(self) -> None:
+        for name, action in self.actions.items():
+            what, keys = action.whatsThis() or name.split(STEP)[-1], self.keys(name)
+            action.setToolTip(f"{what} ({keys})" if keys else what)
 
     @property
     def changed(self) -> dict[str, str]:
