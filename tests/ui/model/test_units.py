@@ -71,7 +71,7 @@ def test_labels_follow_the_chosen_units(drive):
     driver.state.change(plots=plots, images=images, kappa=3.0, layers=layers)
     driver.show("images", "plots")
     driver.wait(lambda: "depth" in window.controller.inspection.images)
-    window.hover.at_pixel(24, 44)
+    window.hover.point_at((24, 44))
     driver.wait_until_shown()
     solved = driver.pipeline.counts["estimate"]
     for symbol in ("m", "psi", "mN", "s"):

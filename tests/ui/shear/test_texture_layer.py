@@ -82,7 +82,7 @@ def test_colour_image_on_the_membrane_and_in_the_images_panel(drive, sensor):
     cell.picture.render()
     shown = [cell.picture.qimage.pixelColor(column, 30).getRgb() for column in (10, 70)]
     assert shown == [(220, 0, 0, 255), (0, 220, 0, 255)]
-    driver.window.hover.at_pixel(30, 40)
+    driver.window.hover.point_at((30, 40))
     assert cell.pixel.getData()[0][0] == 40.5  # aligned cameras: the same pixel
     # a missing colour image is reported
     driver.seek(0)

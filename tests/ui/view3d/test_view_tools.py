@@ -68,7 +68,7 @@ def test_viewpoints_exaggeration_vectors_colour_maps_and_section(drive):
     assert driver.pipeline.counts["estimate"] == solved
     assert not near(driver.pixels(), place, NODE)
     driver.state.include("panels", "images", True)  # which also marks the place
-    driver.window.hover.at_point(true)
+    driver.window.hover.point_at(true)
     driver.wait_until_shown()
     assert near(driver.pixels(), place, NODE)
     # vector lengths follow the pressure, and colour maps the colours
@@ -297,7 +297,7 @@ def test_saved_picture_turntable_and_layout_of_the_tools_panel(drive, tmp_path):
     assert tuple(camera.position) == stopped
     # no text is clipped
     tools.use_tool("probe")
-    tools.picked.at_pixel(24, 44)
+    tools.picked.point_at((24, 44))
     driver.state.change(length_unit="m", pressure_unit="psi", section_axis="x")
     QApplication.processEvents()
     assert driver.window.width() == 1280 and not clipped_texts(tools)

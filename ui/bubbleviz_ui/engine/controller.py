@@ -139,14 +139,13 @@ class Controller(QObject):
     def __init__(self, state: SessionState) -> None:
         super().__init__()
         self.state = state
-        self.clients = [SensorClient(state)]  # Of the sensors that are open together
+        self.clients = [self._new_client()]  # Of the sensors that are open together
         self.chosen = 0  # Number of the one shown by the panels
         self.opening = Opening(state, lambda request: self.client.open(request))
         self.analysis = Analysis(state, lambda: self.client)
         self.player = Player(state)
         self._cold_solve_timer = QTimer(self, singleShot=True, interval=COLD_SOLVE_DELAY_MS)
         self._cold_solve_timer.timeout.connect(self.cold_solve)
-        self._listen()
         state.frame_changed.connect(self._on_frame)
         state.playing_changed.connect(self._on_playing)
         state.frozen_changed.connect(self._on_playing)
@@ -260,9 +259,7 @@ class Controller(QObject):
         if self.opening.busy or self.clients[number] not in self.others:
             return
         playing, frozen = self.state.playing, self.state.frozen
-        self._listen(on=False)
         self.chosen = number
-        self._listen()
         self.group_changed.emit()
         self._present(playing=playing)
         self.state.freeze(frozen)
@@ -280,16 +277,14 @@ class Controller(QObject):
         Those of the others end by themselves.
         """
         first = self.client
-        self._listen(on=False)
         for client in self.clients:
             if client is not first:
                 client.close(0.0)
-        self.clients = [first, *(SensorClient(self.state) for _ in group[1:])]
+        self.clients = [first, *(self._new_client() for _ in group[1:])]
         self.chosen, self.opening.group = 0, group
         first.name = ""
         for client, sensor in zip(self.clients, group, strict=False):
             client.name, client.extra_products = sensor.name, first.extra_products
-        self._listen()
         self.group_changed.emit()
 
     # -- the model changed --------------------------------------------------------------------
@@ -394,48 +389,52 @@ class Controller(QObject):
 
     # -- answers ------------------------------------------------------------------------------
 
-    def _listen(self, *, on: bool = True) -> None:
-        for client in self.clients:
-            chosen = client is self.client
-            for signal, slot in (
-                (client.opened_source, self._on_opened if chosen else self._on_other_opened),
-                (client.solved, self._on_solved if chosen else self._on_other_solved),
-                (client.patched, self._show if chosen else None),
-                (client.paused, self._on_paused if chosen else self._follow_others),
-                (client.failed, self._on_failed if chosen else self._on_other_failed),
-            ):
-                if slot is not None:
-                    signal.connect(slot) if on else signal.disconnect(slot)
+    def _new_client(self) -> SensorClient:
+        client = SensorClient(self.state)
+        client.opened_source.connect(self._on_opened)
+        client.solved.connect(self._on_solved)
+        client.patched.connect(self._on_patched)
+        client.paused.connect(self._on_paused)
+        client.failed.connect(self._on_failed)
+        return client
 
-    def _on_other_opened(self, _: object) -> None:
-        self.other_opened.emit()
-        self.request_others()
+    @property
+    def _is_other(self) -> bool:
+        """Whether the signal is of a sensor that the panels do not show."""
+        return self.sender() is not self.client
 
-    def _on_other_failed(self, failed: Failed) -> None:
-        self.state.messages.add("error", failed.message, failed.details, topic=SOURCE)
-
-    def _on_other_solved(self, _: object, newest: bool) -> None:
-        """Request the next frame at once: no sensor waits for another.
-
-        A frame requested during playback may arrive after a pause, and has another time then.
-        """
-        if newest or self._follows:
-            self.request_others()
-        self.other_solved.emit()
+    def _on_patched(self, result: Result) -> None:
+        if not self._is_other:
+            self._show(result)
 
     def _on_failed(self, failed: Failed) -> None:
+        if self._is_other:
+            self.state.messages.add("error", failed.message, failed.details, topic=SOURCE)
+            return
         self.opening.finish(failed.request, failed)
         if failed.key == "analyse":
             self.analysis.stop()
         self.failed.emit(failed)
 
     def _on_paused(self) -> None:
+        if self._is_other:
+            self._follow_others()
+            return
         if self.client.images_outdated:
             self._request_frame()
         self._request_newest()
 
     def _on_solved(self, solved: Solved, newest: bool) -> None:
-        """Request the next frame before drawing this one, which keeps the solver busy."""
+        """Request the next frame before drawing this one, which keeps the solver busy.
+
+        That of another sensor at once: none waits for another. One requested during playback may
+        arrive after a pause, and has another time then.
+        """
+        if self._is_other:
+            if newest or self._follows:
+                self.request_others()
+            self.other_solved.emit()
+            return
         if newest:
             self.state.grow(self.client.facts)
             self._request_newest()
@@ -447,6 +446,10 @@ class Controller(QObject):
 
     def _on_opened(self, opened: Opened) -> None:
         """Show the source, and open the other sensors of its group after it."""
+        if self._is_other:
+            self.other_opened.emit()
+            self.request_others()
+            return
         group = opened.request.group
         if group != self.group:
             self.regroup(group)

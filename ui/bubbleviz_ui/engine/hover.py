@@ -25,19 +25,8 @@ class Hover(QObject):
         controller.opened.connect(self._on_opened)
         controller.shown.connect(self._on_shown)
 
-    def at_pixel(self, row: int, column: int) -> None:
-        """The mouse is at a pixel."""
-        self._set_target((row, column))
-
-    def at_point(self, point_m: np.ndarray) -> None:
-        """The mouse is at a point (3,) in B, m."""
-        self._set_target(point_m)
-
-    def leave(self) -> None:
-        """The mouse has left image and 3-D view."""
-        self._set_target(None)
-
-    def _set_target(self, target: Pixel | np.ndarray | None) -> None:
+    def point_at(self, target: Pixel | np.ndarray | None) -> None:
+        """The mouse is at a pixel, at a point (3,) in B, m, or outside."""
         self._target = target
         self._find(self._controller.result)
 
@@ -54,7 +43,7 @@ class Hover(QObject):
 
     def _on_opened(self, opened: Opened) -> None:
         self._probe = Probe(opened.camera, opened.mesh)
-        self.leave()
+        self.point_at(None)
 
     def _on_shown(self, result: Result) -> None:
         if self._target is not None:

@@ -338,7 +338,12 @@ class Solver:
         solved = self._solved(current, demand, frame, solver_process=process)
         stream.publish(solved.result, current.pipeline)
         lost = "" if process is None else process.lost
-        ended = "" if lost == lost_before else _process_ended_remark(current, lost)
+        ended = ""
+        if lost != lost_before:
+            ended = (
+                f"{current.source.name}: its solver process has ended ({lost}); its frames are now "
+                "solved in the window's process, which may be slower"
+            )
         remark = "; ".join(filter(None, (ended, solved.remark)))
         return replace(solved, outages=stream.outages, remark=remark)
 
@@ -582,13 +587,6 @@ def _solver_process(
     process = PipelineProcess(pipeline, still)
     stream.at_end(process.end)
     return process
-
-
-def _process_ended_remark(current: OpenSource, reason: str) -> str:
-    return (
-        f"{current.source.name}: its solver process has ended ({reason}); its frames are now "
-        "solved in the window's process, which may be slower"
-    )
 
 
 def _zero_remark(zero: PressureZero | None) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from statistics import median
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
@@ -131,7 +130,7 @@ def _diagnostics(settings: Settings) -> Products:
     return wanted
 
 
-# Performance: run time and count of each stage, and which layers and panels request it.
+# Performance: run time of each stage, and which layers and panels request it.
 
 
 STAGES = {
@@ -154,31 +153,17 @@ MEDIAN_FRAMES = 100
 ANALYSIS = "analysis of all frames"
 
 
-@dataclass(frozen=True)
-class StageTime:
-    """Row of the performance table: a pipeline stage."""
-
-    stage: str
-    title: str
-    # last_ms, median_ms: Last run, and median of the last `MEDIAN_FRAMES`; None: never ran
-    last_ms: float | None
-    median_ms: float | None
-    runs: int  # Since the source was opened
-    requested_by: tuple[str, ...]  # Layers and panels; empty: the stage is idle
-
-
 class StageTimes:
     """Stage times of the last frames."""
 
     def __init__(self) -> None:
-        self._times: dict[str, deque[float]] = {
-            name: deque(maxlen=MEDIAN_FRAMES) for name in STAGES
-        }
+        # The last ones of each stage, ms
+        self.of = {name: deque[float](maxlen=MEDIAN_FRAMES) for name in STAGES}
         self._last_times: object = None
 
     def clear(self) -> None:
         """Forget all times, for another source."""
-        for times in self._times.values():
+        for times in self.of.values():
             times.clear()
 
     def take(self, result: Result) -> None:
@@ -186,29 +171,8 @@ class StageTimes:
         if result.times_ms is self._last_times:
             return  # the same solve with another patch
         self._last_times = result.times_ms
-        for stage, time_ms in result.times_ms.items():
-            if stage in self._times:
-                self._times[stage].append(time_ms)
-
-    def table(
-        self, settings: Settings, counts: Mapping[str, int], *, analysing: bool = False
-    ) -> list[StageTime]:
-        """One row per stage, idle ones included."""
-        requested = names_by_stage(settings, analysing=analysing)
-        lines = []
-        for stage, title in STAGES.items():
-            times = self._times[stage]
-            lines.append(
-                StageTime(
-                    stage,
-                    title,
-                    times[-1] if times else None,
-                    median(times) if times else None,
-                    counts.get(stage, 0),
-                    () if stage == "total" else tuple(requested.get(stage, ())),
-                )
-            )
-        return lines
+        for stage in self.of.keys() & result.times_ms.keys():
+            self.of[stage].append(result.times_ms[stage])
 
 
 def names_by_stage(settings: Settings, *, analysing: bool = False) -> dict[str, list[str]]:

@@ -62,7 +62,7 @@ class ImageCell(Cell):
         super().__init__(head=head)
         self.kind = kind
         self.image: np.ndarray | None = None
-        self._range_so_far: tuple[float, float] | None = None
+        self.range_so_far: tuple[float, float] | None = None  # Of the images of this source
         self._scale: tuple[float, float, Unit | None] | None = None
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False)
         self.picture = pg.ImageItem(axisOrder="row-major")
@@ -76,10 +76,6 @@ class ImageCell(Cell):
         self._fitted = True  # until the user zooms or pans
         self.box.sigRangeChangedManually.connect(self._on_zoomed)
         self.box.sigResized.connect(self._fit)
-
-    def forget_range(self) -> None:
-        """Reset the colour range, for another source."""
-        self._range_so_far = None
 
     def draw(
         self,
@@ -174,10 +170,10 @@ class ImageCell(Cell):
         if self.kind.colouring == "around zero":
             high = rounded_up(max(abs(low), abs(high), 1e-6))
             low = -high
-        if self._range_so_far is not None:
-            low, high = min(low, self._range_so_far[0]), max(high, self._range_so_far[1])
-        self._range_so_far = (low, high if high > low else low + 1e-6)
-        return self._range_so_far
+        if self.range_so_far is not None:
+            low, high = min(low, self.range_so_far[0]), max(high, self.range_so_far[1])
+        self.range_so_far = (low, high if high > low else low + 1e-6)
+        return self.range_so_far
 
     def legend(self, low: float, high: float, unit: Unit | None) -> str:
         """Colour scale as HTML; yes and no for a mask."""
@@ -244,7 +240,7 @@ class ImagesPanel(QWidget):
 
     def _on_source(self) -> None:
         for cell in self.cells.values():
-            cell.forget_range()
+            cell.range_so_far = None
 
     def _on_seen(self) -> None:
         self._arrange()
@@ -318,9 +314,9 @@ class ImagesPanel(QWidget):
             box = self._cell(name).box
             if box.sceneBoundingRect().contains(place) and self._has_depth_pixels(name):
                 at = box.mapSceneToView(place)
-                self._hover.at_pixel(math.floor(at.y()), math.floor(at.x()))
+                self._hover.point_at((math.floor(at.y()), math.floor(at.x())))
                 return
-        self._hover.leave()
+        self._hover.point_at(None)
 
     def _has_depth_pixels(self, name: str) -> bool:
         """Whether the pixels of an image coincide with those of the depth image."""

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
+from statistics import median
 
 from PySide6.QtCore import QPoint, QSize, Qt, QTimer, Signal
 from PySide6.QtGui import QMouseEvent, QResizeEvent
-from PySide6.QtWidgets import (
-    QFrame,
-    QLabel,
-    QStatusBar,
-    QVBoxLayout,
-    QWidget,
-)
+from PySide6.QtWidgets import QFrame, QLabel, QStatusBar, QVBoxLayout, QWidget
 
 from bubbleviz.live import LatencyReport
 from bubbleviz.result import Result
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.model.demand import StageTime, StageTimes
+from bubbleviz_ui.model.demand import STAGES, StageTimes, names_by_stage
 from bubbleviz_ui.model.frame_history import FrameHistory
 from bubbleviz_ui.model.registry import LAYERS, PANELS
 from bubbleviz_ui.model.session_state import SessionState
@@ -252,19 +247,16 @@ class PerformancePopup(QFrame):
     ) -> None:
         super().__init__(parent, Qt.WindowType.Popup)
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self._state, self._controller, self._stage_times, self._view = (
-            state,
-            controller,
-            stage_times,
-            view,
-        )
+        self._state, self._controller = state, controller
+        self._stage_times, self._view = stage_times, view
         self.table = Table(COLUMNS, len(COLUMNS) - 1)
-        self.drawing = QLabel()
-        self.hint = QLabel(
-            "Hiding a layer or closing a panel stops computations that only it needs."
+        self.drawing, title = QLabel(), theme.bold(QLabel("Performance"))
+        hint = theme.dim(
+            QLabel("Hiding a layer or closing a panel stops computations that only it needs.")
         )
-        theme.dim(self.hint)
-        self._lay_out()
+        self.setFrameShape(QFrame.Shape.StyledPanel)
+        self.setFixedWidth(WIDTH)
+        fill(QVBoxLayout(self), title, self.table, self.drawing, hint)
         self._timer = QTimer(self, interval=EVERY_MS)
         self._timer.timeout.connect(lambda: self.refresh())
         self._timer.start()
@@ -279,33 +271,27 @@ class PerformancePopup(QFrame):
 
     def refresh(self) -> None:
         """Update the numbers."""
-        analysing = self._controller.analysis.busy
-        counts = self._controller.client.solver.counts
-        lines = self._stage_times.table(self._state.settings, counts, analysing=analysing)
-        self.table.setRowCount(len(lines))
-        for row, line in enumerate(lines):
-            idle = not line.requested_by and line.stage != "total"
-            self.table.write(row, self._texts(line), right=range(1, len(COLUMNS) - 1), dim=idle)
+        analysing, duration = self._controller.analysis.busy, self._state.units.duration
+        requested = names_by_stage(self._state.settings, analysing=analysing)
+        counts, right = self._controller.client.solver.counts, range(1, len(COLUMNS) - 1)
+        self.table.setRowCount(len(STAGES))
+        for row, (stage, title) in enumerate(STAGES.items()):
+            times = self._stage_times.of[stage]
+            last, typical = (times[-1], median(times)) if times else (None, None)
+            why = ", ".join(map(_title, requested.get(stage, ()))) or IDLE
+            texts = title, duration.text(last), duration.text(typical), f"{counts.get(stage, 0)}×"
+            of_all = stage == "total"
+            self.table.write(
+                row, (*texts, "" if of_all else why), right=right, dim=why == IDLE and not of_all
+            )
         self.table.setFixedHeight(self.table.full_height)
-        view, duration = self._view, self._state.units.duration
+        view = self._view
         each = 1e3 * view.busy_s / view.render_count if view.render_count else None
         self.drawing.setText(
             f"Drawing: {duration.text(each)} a picture, {count_of(view.render_count, 'picture')},"
             f" {count_of(self._controller.dropped, 'frame')} skipped because a newer one was due, "
             "or another one requested"
         )
-
-    def _texts(self, line: StageTime) -> tuple[str, ...]:
-        duration = self._state.units.duration
-        why = ", ".join(map(_title, line.requested_by)) or ("" if line.stage == "total" else IDLE)
-        last, typical = duration.text(line.last_ms), duration.text(line.median_ms)
-        return line.title, last, typical, f"{line.runs}×", why
-
-    def _lay_out(self) -> None:
-        self.setFrameShape(QFrame.Shape.StyledPanel)
-        self.setFixedWidth(WIDTH)
-        title = theme.bold(QLabel("Performance"))
-        fill(QVBoxLayout(self), title, self.table, self.drawing, self.hint)
 
 
 def _title(name: str) -> str:

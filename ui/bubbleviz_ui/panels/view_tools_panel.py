@@ -163,7 +163,7 @@ class ViewTools(QWidget):
         self.tool = name
         for each, button in self.tools.items():
             button.setChecked(each == name)
-        self.picked.leave()
+        self.picked.point_at(None)
         self.ends_m = []
         pointer = Qt.CursorShape.ArrowCursor if name == "rotate" else Qt.CursorShape.CrossCursor
         self._view.setCursor(pointer)
@@ -174,7 +174,7 @@ class ViewTools(QWidget):
             return
         point = self._scene.pick(x, y)
         if self.tool == "probe":
-            self.picked.leave() if point is None else self.picked.at_point(point)
+            self.picked.point_at(point)
         elif point is not None:
             self.ends_m = [*self.ends_m, point] if len(self.ends_m) == 1 else [point]
         self._show_reading()

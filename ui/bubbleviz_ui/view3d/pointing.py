@@ -53,11 +53,7 @@ class Pointing(QObject):
 
     def _on_left(self) -> None:
         self._due.stop()
-        self._hover.leave()
+        self._hover.point_at(None)
 
     def _pick(self) -> None:
-        point = self._scene.pick(*self._at)
-        if point is None:
-            self._hover.leave()
-        else:
-            self._hover.at_point(point)
+        self._hover.point_at(self._scene.pick(*self._at))
