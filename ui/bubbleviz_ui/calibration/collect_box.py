@@ -56,16 +56,6 @@ class CollectBox(QGroupBox):
             "Cancel", "Stop collecting and discard the frames collected so far", self._cancel
         )
         self.message = QLabel(wordWrap=True)
-        self._lay_out()
-        self.count.valueChanged.connect(lambda _: self._show())
-        self._controller.shown.connect(self._take)
-        self._controller.state.connection_changed.connect(self._show)
-        self._controller.opened.connect(self._on_opened)
-        calibration.changed.connect(self._show)
-        calibration.restarted.connect(self._cancel)
-        self._show()
-
-    def _lay_out(self) -> None:
         self.contact_free.setChecked(True)
         self.contact_free.setToolTip(
             "Ticked: frames in which the sensor file in use detects contact are not collected. "
@@ -74,6 +64,13 @@ class CollectBox(QGroupBox):
         row = fill(QHBoxLayout(), self.count, 1)
         buttons = fill(QHBoxLayout(), self.button, self.stop, self.cancel)
         fill(QVBoxLayout(self), row, self.contact_free, buttons, self.message)
+        self.count.valueChanged.connect(lambda _: self._show())
+        self._controller.shown.connect(self._take)
+        self._controller.state.connection_changed.connect(self._show)
+        self._controller.opened.connect(self._on_opened)
+        calibration.changed.connect(self._show)
+        calibration.restarted.connect(self._cancel)
+        self._show()
 
     def _start(self) -> None:
         self._controller.state.set_playing(True)

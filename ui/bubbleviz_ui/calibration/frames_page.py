@@ -111,7 +111,14 @@ class FramesPage(Page):
             lambda: self.set_ranges(None, "Find contact-free frames"),
         )
         self.collect = CollectBox(calibration)
-        self._lay_out()
+        # the same time axis in both
+        strip = fill(QHBoxLayout(), self.strip, margins=(LEFT - MARGIN, 0, 0, 0))
+        plot = fill(QHBoxLayout(), self.plot, margins=(0, 0, MARGIN - RIGHT, 0))
+        fill(self.column, strip, plot, self.message)
+        numbers = (QLabel("frames"), self.first, QLabel("to"), self.last, 1)
+        buttons = (self.add, self.remove, self.replace, self.find_again, 1)
+        rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]
+        fill(self.column, *rows, self.collect, 1)
         self.strip.edited.connect(self.set_ranges)
 
     def set_ranges(self, ranges: Ranges | None, what: str) -> None:
@@ -158,13 +165,3 @@ class FramesPage(Page):
         present = frame_numbers(self.calibration.answer.found.ranges)
         removed = f"Remove frames {self.first.value()}–{self.last.value()}"
         self.set_ranges(as_ranges({*present} - {*self._chosen}), removed)
-
-    def _lay_out(self) -> None:
-        # the same time axis in both
-        strip = fill(QHBoxLayout(), self.strip, margins=(LEFT - MARGIN, 0, 0, 0))
-        plot = fill(QHBoxLayout(), self.plot, margins=(0, 0, MARGIN - RIGHT, 0))
-        fill(self.column, strip, plot, self.message)
-        numbers = (QLabel("frames"), self.first, QLabel("to"), self.last, 1)
-        buttons = (self.add, self.remove, self.replace, self.find_again, 1)
-        rows = [fill(QHBoxLayout(), *row) for row in (numbers, buttons)]
-        fill(self.column, *rows, self.collect, 1)

@@ -57,7 +57,12 @@ class ExportDialog(QDialog):
             "Export…", "Choose the name of the file or folder, and start", self._choose_name
         )
         self.cancel = push_button("Cancel", "Stop; nothing is kept", exporting.cancel)
-        self._lay_out()
+        which = fill(QHBoxLayout(), (self.frames, 1), self.step)
+        form = QFormLayout()
+        form.addRow("What", self.kind)
+        form.addRow("Frames", which)
+        buttons = fill(QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.export)
+        fill(QVBoxLayout(self), form, self.captioned, self.about, self.message, 1, buttons)
         self._connect()
         self.show_all()
 
@@ -88,14 +93,6 @@ class ExportDialog(QDialog):
         return laid_out
 
     # -- inside -------------------------------------------------------------------------------
-
-    def _lay_out(self) -> None:
-        which = fill(QHBoxLayout(), (self.frames, 1), self.step)
-        form = QFormLayout()
-        form.addRow("What", self.kind)
-        form.addRow("Frames", which)
-        buttons = fill(QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.export)
-        fill(QVBoxLayout(self), form, self.captioned, self.about, self.message, 1, buttons)
 
     def _connect(self) -> None:
         exporting = self._exporting

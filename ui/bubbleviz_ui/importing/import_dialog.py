@@ -208,8 +208,17 @@ class ImportDialog(QDialog):
         self.open_made = push_button("Open", "Open the new recording in the window", self._open)
         self.begin = push_button("Import", "Convert to a recording", self._begin)
         self._made: RecordingInfo | None = None
-        self._lay_out()
-        self._connect()
+        form = QFormLayout()
+        form.addRow("From", fill(QHBoxLayout(), (self.source, 1), self.folder))
+        self.images = ImageFields(form, self._on_field)
+        form.addRow("To", self.out)
+        buttons = fill(
+            QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.open_made, self.begin
+        )
+        fill(QVBoxLayout(self), form, self.about, self.problem, self.made, 1, buttons)
+        self.source.changed.connect(self._on_source)
+        self.out.textChanged.connect(lambda _: self._on_field())
+        self._worker.progressed.connect(self.progress.show_step)
         self._show()
 
     @property
@@ -219,21 +228,6 @@ class ImportDialog(QDialog):
         return Path(name if name.lower().endswith(SUFFIX) else name + SUFFIX)
 
     # -- inside -------------------------------------------------------------------------------
-
-    def _lay_out(self) -> None:
-        form = QFormLayout()
-        form.addRow("From", fill(QHBoxLayout(), (self.source, 1), self.folder))
-        self.images = ImageFields(form, self._on_field)
-        form.addRow("To", self.out)
-        buttons = fill(
-            QHBoxLayout(), (self.progress, 1), 0, self.cancel, self.open_made, self.begin
-        )
-        fill(QVBoxLayout(self), form, self.about, self.problem, self.made, 1, buttons)
-
-    def _connect(self) -> None:
-        self.source.changed.connect(self._on_source)
-        self.out.textChanged.connect(lambda _: self._on_field())
-        self._worker.progressed.connect(self.progress.show_step)
 
     def _choose_folder(self) -> None:
         path = folder_to_open(self, "A folder of depth images", of="import")

@@ -88,7 +88,11 @@ class LiveBar(QFrame):
         self._noted_ns: int | None = None
         self.counts = Elided(Qt.TextElideMode.ElideRight)
         theme.dim(self.counts)
-        self._lay_out()
+        row, head, none = QWidget(), QWidget(), (0, 0, 0, 0)
+        left = (self.state, 1), self.leave, self.note
+        self._head = fill(QHBoxLayout(head), *left, margins=none, spacing=6)
+        BarLayout(row, head, self.record, self.zero, self.publish, margins=none)
+        fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
         self._connect()
         self.show_all()
 
@@ -153,13 +157,6 @@ class LiveBar(QFrame):
         self.counts.setToolTip(counts)
 
     # -- inside -------------------------------------------------------------------------------
-
-    def _lay_out(self) -> None:
-        row, head, none = QWidget(), QWidget(), (0, 0, 0, 0)
-        left = (self.state, 1), self.leave, self.note
-        self._head = fill(QHBoxLayout(head), *left, margins=none, spacing=6)
-        BarLayout(row, head, self.record, self.zero, self.publish, margins=none)
-        fill(QVBoxLayout(self), row, self.counts, margins=(12, 5, 8, 5), spacing=3)
 
     def _connect(self) -> None:
         live = self._live

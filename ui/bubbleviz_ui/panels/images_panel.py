@@ -220,21 +220,18 @@ class ImagesPanel(QWidget):
         self._redraw = Throttle(self, self._draw, EVERY_MS)
         self.choose, self.boxes = menu_button(state, "images")
         self.lines = [Elided(Qt.TextElideMode.ElideRight) for _ in range(3)]
-        self._lay_out()
-        controller.shown.connect(self._on_shown)
-        hover.changed.connect(self._on_hover)
-        self._on_hover(None)
-        state.source_changed.connect(self._on_source)
-        state.follow(DRAWN, self._on_settings)
-        state.history_changed.connect(self._on_history)
-
-    def _lay_out(self) -> None:
         header, text = QWidget(), QWidget()
         fill(QVBoxLayout(text), *self.lines, margins=(0, 0, 0, 0), spacing=0)
         BarLayout(header, text, self.choose, margins=(0, 0, 0, 0))
         fill(QVBoxLayout(self), header, (self._host, 1), margins=(8, 4, 8, 4), spacing=4)
         self.setMinimumWidth(LEAST_WIDTH)
         self._host.setMinimumHeight(LEAST_HEIGHT)
+        controller.shown.connect(self._on_shown)
+        hover.changed.connect(self._on_hover)
+        self._on_hover(None)
+        state.source_changed.connect(self._on_source)
+        state.follow(DRAWN, self._on_settings)
+        state.history_changed.connect(self._on_history)
 
     # -- events -------------------------------------------------------------------------------
 

@@ -23,14 +23,6 @@ class LayersPanel(QWidget):
         self.opacity = control(state, "membrane_opacity")
         self.pressure_max = control(state, "pressure_max_pa")
         self.residual_max = control(state, "residual_max_m")
-        self._lay_out()
-        for name, box in self.boxes.items():
-            box.setToolTip(LAYERS[name].tip)
-            bind_membership(box, state, "layers", name)
-        self._enable()
-        state.settings_changed.connect(self._enable)
-
-    def _lay_out(self) -> None:
         line = QFrame()
         line.setFrameStyle(QFrame.Shape.HLine | QFrame.Shadow.Plain)
         line.setForegroundRole(QPalette.ColorRole.PlaceholderText)
@@ -43,6 +35,11 @@ class LayersPanel(QWidget):
         )
         rows.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         fill(QVBoxLayout(self), *self.boxes.values(), line, rows, margins=(6, 10, 2, 10), spacing=5)
+        for name, box in self.boxes.items():
+            box.setToolTip(LAYERS[name].tip)
+            bind_membership(box, state, "layers", name)
+        self._enable()
+        state.settings_changed.connect(self._enable)
 
     def _enable(self) -> None:
         """Enable the settings of visible layers."""

@@ -59,7 +59,11 @@ class PlotsPanel(QWidget):
         self.statistics = RangeTable()
         self.hint = theme.dim(QLabel("Click in a plot to show that frame"))
         self._lay_out()
-        self._connect()
+        self._controller.analysis.progressed.connect(self._on_analysed)
+        self._controller.shown.connect(self._draw_cursor)
+        self._host.seen.connect(self._on_seen)
+        self._host.pointed.connect(self._on_mouse)
+        self._host.clicked.connect(self._on_click)
         state.frame_changed.connect(self._on_frame)
         state.history_changed.connect(self._redraw.request)
         state.range_changed.connect(self._show_statistics)
@@ -92,13 +96,6 @@ class PlotsPanel(QWidget):
         self.progress.setFixedWidth(200)
         self.progress.hide()
         self.cancel.hide()
-
-    def _connect(self) -> None:
-        self._controller.analysis.progressed.connect(self._on_analysed)
-        self._controller.shown.connect(self._draw_cursor)
-        self._host.seen.connect(self._on_seen)
-        self._host.pointed.connect(self._on_mouse)
-        self._host.clicked.connect(self._on_click)
 
     def show_other(self, aligned: AlignedRun | None) -> None:
         """Draw another recording's curves, too, or none."""

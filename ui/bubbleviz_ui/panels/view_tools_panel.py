@@ -92,24 +92,6 @@ class ViewTools(QWidget):
         self.tools = {name: QToolButton() for name in TOOLS}
         self.turn = QToolButton()
         self.reading = [QLabel() for _ in range(3)]
-        self._make_settings(state)
-        self._lay_out()
-        self._bind(state)
-        self._connect(controller)
-        self._on_settings()
-        state.follow(SHOWN, self._on_settings)
-
-    def use_actions(self, shortcuts: Shortcuts) -> None:
-        """Give the buttons the function, state and tool tip of the menu's actions."""
-        titles = {name: title.replace("&", "") for name, (_, title, *_) in TOOLS.items()}
-        shortcuts.give({self.views[name]: title for name, title in VIEWS.items()}, VIEW_FROM)
-        shortcuts.give({self.tools[name]: title for name, title in titles.items()}, "View")
-        shortcuts.give({self.turn: "Turntable"}, "View")
-        for name, (text, *_) in TOOLS.items():
-            self.tools[name].defaultAction().setIconText(text)
-        self.use_tool(self.tool)
-
-    def _make_settings(self, state: SessionState) -> None:
         self.colour_map = control(state, "colour_map")
         self.exaggeration = control(state, "exaggeration")
         self.section = control(state, "section_axis")
@@ -122,8 +104,6 @@ class ViewTools(QWidget):
         self.save = push_button(
             "Save…", "Save a picture of the 3-D view at this size, PNG", self._choose_file
         )
-
-    def _lay_out(self) -> None:
         rows = form(self.colour_map, self.exaggeration, self.section)
         rows.addRow(self.section_text, self.section_at)
         rows.addRow("", self.flipped)
@@ -141,6 +121,22 @@ class ViewTools(QWidget):
         )
         self.setMinimumWidth(WIDTH)
         self.section_text.setMinimumWidth(self.fontMetrics().horizontalAdvance("at −0.88888 m"))
+        self._bind(state)
+        self._view.clicked.connect(self._on_clicked)
+        self.picked.changed.connect(self._show_reading)
+        controller.opened.connect(self._on_opened)
+        self._on_settings()
+        state.follow(SHOWN, self._on_settings)
+
+    def use_actions(self, shortcuts: Shortcuts) -> None:
+        """Give the buttons the function, state and tool tip of the menu's actions."""
+        titles = {name: title.replace("&", "") for name, (_, title, *_) in TOOLS.items()}
+        shortcuts.give({self.views[name]: title for name, title in VIEWS.items()}, VIEW_FROM)
+        shortcuts.give({self.tools[name]: title for name, title in titles.items()}, "View")
+        shortcuts.give({self.turn: "Turntable"}, "View")
+        for name, (text, *_) in TOOLS.items():
+            self.tools[name].defaultAction().setIconText(text)
+        self.use_tool(self.tool)
 
     def _bind(self, state: SessionState) -> None:
         self._at = Binding(
@@ -150,11 +146,6 @@ class ViewTools(QWidget):
             lambda at_m: round(SECTION_STEPS * at_m / self._extent_m),
             lambda step: self._extent_m * step / SECTION_STEPS,
         )
-
-    def _connect(self, controller: Controller) -> None:
-        self._view.clicked.connect(self._on_clicked)
-        self.picked.changed.connect(self._show_reading)
-        controller.opened.connect(self._on_opened)
 
     # -- pointing -----------------------------------------------------------------------------
 

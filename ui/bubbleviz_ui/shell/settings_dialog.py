@@ -50,20 +50,17 @@ class SettingsDialog(QDialog):
             self.form.addRow(bold(QLabel(title)))
             for name in names:
                 self._add(name)
-        self._lay_out()
+        inside, below = QWidget(), fill(QHBoxLayout(), 1, self.reset)
+        inside.setLayout(self.form)
+        fill(QVBoxLayout(self), self.search, (scrolled(inside), 1), below)
+        watch_controls(self)
+        self.search.setFocus()
         self.search.textChanged.connect(self._find)
 
     def _add(self, name: str) -> None:
         self.controls[name] = box = control(self._state, name)
         label = box.accessibleName()
         self.form.addRow("" if isinstance(box, QCheckBox) else label[:1].upper() + label[1:], box)
-
-    def _lay_out(self) -> None:
-        inside, below = QWidget(), fill(QHBoxLayout(), 1, self.reset)
-        inside.setLayout(self.form)
-        fill(QVBoxLayout(self), self.search, (scrolled(inside), 1), below)
-        watch_controls(self)
-        self.search.setFocus()
 
     def _find(self, text: str) -> None:
         """Show the settings whose label or explanation has the text, below their headings."""

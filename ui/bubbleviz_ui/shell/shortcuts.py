@@ -190,18 +190,6 @@ class ShortcutsDialog(QDialog):
         )
         self.reset_all = push_button("&Reset all", "", shortcuts.reset_all)
         self.problem = QLabel(wordWrap=True)
-        self._lay_out()
-        self._fill()
-        self._connect()
-        self.table.selectRow(0)
-
-    @property
-    def name(self) -> str:
-        """The selected action."""
-        item = self.table.item(self.table.currentRow(), 0)
-        return item.text() if item is not None else ""
-
-    def _lay_out(self) -> None:
         table = self.table
         table.setHorizontalHeaderLabels(["Action", "Keys"])
         table.verticalHeader().hide()
@@ -217,12 +205,18 @@ class ShortcutsDialog(QDialog):
             button.setAutoDefault(False)
             row.addWidget(button)
         fill(QVBoxLayout(self), self.search, table, self.problem, row)
-
-    def _connect(self) -> None:
+        self._fill()
         self.search.textChanged.connect(self._filter)
         self.table.currentCellChanged.connect(lambda *_: self._show_keys())
         self.table.cellDoubleClicked.connect(lambda *_: self.keys.setFocus())
         self._shortcuts.edited.connect(self._fill)
+        self.table.selectRow(0)
+
+    @property
+    def name(self) -> str:
+        """The selected action."""
+        item = self.table.item(self.table.currentRow(), 0)
+        return item.text() if item is not None else ""
 
     def _set(self, keys: QKeySequence) -> None:
         if self.name:
