@@ -111,11 +111,9 @@ class Files(QObject):
         self._choose("Open ground truth", kinds, "recording", self._opening.use_ground_truth)
 
     def choose_session(self) -> None:
-        """Ask for a session to open."""
         self._choose("Open session", SESSIONS, "session", self._saver.open)
 
     def save_session(self) -> None:
-        """Ask where to save the session."""
         proposed = name_of_output(self._window.state.title, f"session{SESSION_SUFFIX}")
         path = file_to_save(self._window, "Save session as", proposed, SESSIONS, of="session")
         if path is not None:

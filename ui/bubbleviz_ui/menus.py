@@ -86,7 +86,6 @@ class Menus(QObject):
         _deleted_on_close(ConnectDialog(window, window.live_controller, name)).open()
 
     def show_export(self) -> None:
-        """Open the export dialog."""
         if self._export is None:
             self._export = ExportDialog(self._window, self._window.state, self._window.exporting)
         self._export.show_all()
@@ -186,7 +185,6 @@ class Menus(QObject):
         self._add(menu, "&About bubbleviz…", self._show_about)
 
     def show_shortcuts(self) -> None:
-        """Show the keyboard shortcuts."""
         _deleted_on_close(ShortcutsDialog(self._window, self.shortcuts)).open()
 
     def _show_about(self) -> None:

@@ -30,7 +30,6 @@ from bubbleviz_ui.engine.worker import Failed, Worker, wait_until_ended
 from bubbleviz_ui.export.exporting import Exporting
 from bubbleviz_ui.live.live_bar import DisplayLatency, LiveBar
 from bubbleviz_ui.live.live_controller import LiveController
-from bubbleviz_ui.live.second_membrane import SecondMembrane
 from bubbleviz_ui.live.sensor_group import SensorGroup
 from bubbleviz_ui.model.demand import StageTimes
 from bubbleviz_ui.model.messages import CALIBRATION, OPENING, SOURCE, UserMessage
@@ -151,7 +150,6 @@ class PanelWindow(QMainWindow):
         self.overlay = PoseOverlay(self.view, self.scene, self.pose.session, state)
         self.shear = ShearPanel(state, controller)
         self.group = SensorGroup(controller, self.scene, self.view)
-        self.second_membrane = SecondMembrane(controller, self.scene, self.view)
         self.live_controller = LiveController(controller, self.group, self.view, self.undo_recorder)
         self.live = LiveBar(self.live_controller, controller, self.group, state.units)
         self.display_latency = DisplayLatency(controller, self.view)
@@ -189,7 +187,6 @@ class PanelWindow(QMainWindow):
         self.state.include("panels", "status", "status" in names)
 
     def save_screenshot(self, path: Path) -> None:
-        """Write a screenshot of the window."""
         self.messages.report("picture", path, partial(write_picture, path, self.grab()))
 
     def _use_theme(self, scheme: Qt.ColorScheme) -> None:
@@ -303,11 +300,9 @@ class PanelWindow(QMainWindow):
             self.resizeDocks([front], [kept], Qt.Orientation.Horizontal)
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
-        """Accept files."""
         self.view.dragEnterEvent(event)
 
     def dropEvent(self, event: QDropEvent) -> None:
-        """Open dropped files."""
         self.view.dropEvent(event)
 
     def _lay_out(self) -> None:
@@ -382,7 +377,7 @@ class PanelWindow(QMainWindow):
         self.busy.cancel.clicked.connect(self.controller.opening.cancel)
         self.compare.measured.connect(self.scene.compare)
         self.compare.other.aligned.connect(self.plots.show_other)
-        self.compare.other.membrane.connect(self.second_membrane.take)
+        self.compare.other.membrane.connect(self.group.compare)
         self.undo_recorder.watch("open panels", None, lambda: self.open_panels, self.show_only)
         for text, box in self.calibration.boxes.items():
             self.undo_recorder.watch_box(text, box)

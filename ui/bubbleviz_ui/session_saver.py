@@ -283,7 +283,6 @@ class SessionSaver(QObject):
 
     @property
     def _source(self) -> Source | None:
-        """The open source."""
         return None if self._opened is None else self._opened.request.source
 
     def _sensor_name(self, file: Path | None) -> str | None:

@@ -305,7 +305,6 @@ class CalibrationPanel(QWidget):
         return min(int(shown.settings.last_step), len(self.pages) - 1)
 
     def _reachable_pages(self) -> int:
-        """Number of pages with results."""
         reached = self.calibration.answer.work.settings.last_step
         return len(self.pages) if reached >= Step.TENSION else max(1, int(reached))
 

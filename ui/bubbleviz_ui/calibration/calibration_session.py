@@ -185,7 +185,6 @@ class Calibration(QObject):
         self.changed.emit()
 
     def close(self) -> None:
-        """Close the source, and ask the thread to end."""
         self._worker.cancel()
         self._worker.submit(self._bench.close)
         self._worker.close(0.0)
@@ -302,7 +301,6 @@ class CurrentWorkbench:
         return self._bench
 
     def close(self) -> None:
-        """Close the source."""
         if self._bench is not None:
             self._bench.source.close()
         self._bench = None

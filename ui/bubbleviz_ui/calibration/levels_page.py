@@ -60,16 +60,6 @@ class RectificationPage(Page):
         ):
             view.show_image(title, image, unit, -limit, limit)
         images = {"rms, not rectified": before, "rms, rectified": after}
-        self._show_levels()
-        self.numbers.write(
-            {
-                name: DASH if image is None else unit.text(float(np.sqrt(np.nanmean(image**2))))
-                for name, image in images.items()
-            }
-            | (self._numbers(answer.found) if answer.found.complete else {})
-        )
-
-    def _show_levels(self) -> None:
         settings = self.calibration.settings
         levels, vented = settings.levels, settings.vented
         self.drop.setEnabled(bool(levels))
@@ -78,6 +68,13 @@ class RectificationPage(Page):
             f"Further levels: {names}" if levels else "No further levels: an offset for each pixel."
         )
         self.levels.setText(text if vented is None else f"{text}\nOpen chamber: {vented.name}")
+        self.numbers.write(
+            {
+                name: DASH if image is None else unit.text(float(np.sqrt(np.nanmean(image**2))))
+                for name, image in images.items()
+            }
+            | (self._numbers(answer.found) if answer.found.complete else {})
+        )
 
     def _numbers(self, found: Identification) -> dict[str, str]:
         """Rectification, λ and gauge pressure, or why they are not determined."""

@@ -52,7 +52,6 @@ class Analysis(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether it is running."""
         return bool(self._frames)
 
     @property
@@ -173,7 +172,6 @@ class Controller(QObject):
 
     @property
     def result(self) -> Result:
-        """Result shown."""
         return self.client.result
 
     @property

@@ -89,7 +89,6 @@ class LiveFrames:
             callback()
 
     def end(self) -> None:
-        """The stream has ended."""
         self._ended = True
         if self._at_end is not None:
             self._at_end()
@@ -115,7 +114,6 @@ class LiveFrames:
 
     @property
     def ended(self) -> bool:
-        """Whether the stream has ended."""
         return self.stream.ended
 
     def at(self, time_s: float) -> int:

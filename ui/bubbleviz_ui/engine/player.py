@@ -110,7 +110,6 @@ class Player(QObject):
         self.skipped, self._result_frame = 0, frame
 
     def close(self) -> None:
-        """Stop the timer."""
         self._timer.stop()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:

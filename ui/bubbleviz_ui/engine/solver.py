@@ -297,7 +297,6 @@ class Solver:
         return self.current
 
     def close(self) -> None:
-        """Close the open source."""
         if self.current is not None:
             self.current.close()
             self.current = self._checked = None

@@ -68,20 +68,25 @@ class ExportDialog(QDialog):
 
     @property
     def chosen(self) -> Kind:
-        """The selected kind of export."""
         kind = self.kind.currentData()
         assert isinstance(kind, Kind)
         return kind
 
     @property
     def chosen_frames(self) -> range:
-        """The selected frames."""
         all_frames = self.frames.currentData() == ALL
         return self._exporting.frames(all_frames=all_frames, step=self.step.value())
 
     def show_all(self) -> None:
         """Update the offered frames and all texts."""
-        self._offer_frames()
+        facts, range_ = self._state.facts, self._state.play_range
+        self.frames.blockSignals(True)
+        self.frames.clear()
+        if range_ is not None:
+            self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
+        count = 0 if facts.is_empty else facts.frames
+        self.frames.addItem(f"all {count_of(count, 'frame')}", ALL)
+        self.frames.blockSignals(False)
         self._show()
 
     def event(self, event: QEvent) -> bool:
@@ -106,17 +111,6 @@ class ExportDialog(QDialog):
         self._state.source_changed.connect(self.show_all)
         self._state.range_changed.connect(self.show_all)
         self._state.follow({"picture_size", "speed"}, self._show)
-
-    def _offer_frames(self) -> None:
-        """Offer the range on the timeline, if any, and all frames."""
-        facts, range_ = self._state.facts, self._state.play_range
-        self.frames.blockSignals(True)
-        self.frames.clear()
-        if range_ is not None:
-            self.frames.addItem(f"range on the timeline: {range_[0]} to {range_[1]}", RANGE)
-        count = 0 if facts.is_empty else facts.frames
-        self.frames.addItem(f"all {count_of(count, 'frame')}", ALL)
-        self.frames.blockSignals(False)
 
     def _show(self) -> None:
         why_not, busy = self._exporting.why_not(), self._exporting.busy

@@ -185,7 +185,6 @@ class VideoExport(QObject):
         QTimer.singleShot(0, self._draw_next)
 
     def _captioned_picture(self, frame: int) -> np.ndarray:
-        """Picture of the view, with a caption if requested."""
         caption, state = self._caption, self._state
         if caption is None:
             return picture_of(self._view, *self._size)
@@ -227,7 +226,6 @@ class Exporting(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether an export is running."""
         return self._worker.busy
 
     def why_not(self) -> str:

@@ -232,7 +232,6 @@ class ConnectDialog(QDialog):
         self._worker.submit(function, self._take, self._on_failure, discard=LiveSource.stop)
 
     def _stop(self) -> None:
-        """Stop searching."""
         self._typing_timer.stop()
         self._worker.cancel()
         self._timer.stop()

@@ -55,7 +55,6 @@ class Connection(QObject):
         self._worker = Worker("live connection")
 
     def start(self) -> None:
-        """Start connecting."""
         self._worker.submit(
             self._connected, self.ready.emit, self.failed.emit, discard=LiveRun.close
         )
@@ -66,7 +65,6 @@ class Connection(QObject):
         self._worker.close(0.0)
 
     def text(self) -> str:
-        """Progress text."""
         stream = self._waiting_stream
         return "starting" if stream is None else _waiting_text(stream)
 

@@ -184,7 +184,6 @@ class LiveBar(QFrame):
         self.note.clearFocus()
 
     def choose_folder(self) -> None:
-        """Choose the folder of recordings."""
         folder = self._live.recording.folder
         present = folder if folder.is_dir() else folder.parent  # created with the first recording
         name = QFileDialog.getExistingDirectory(self, "Record into", str(present))

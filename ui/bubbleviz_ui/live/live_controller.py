@@ -126,14 +126,12 @@ class LiveController(QObject):
         self._timer.stop()
 
     def toggle_recording(self) -> None:
-        """Start or stop a recording."""
         if self.recording.busy:
             self.recording.stop()
         elif self.run is not None:
             self.recording.start(self.run.session.recorder)
 
     def toggle_publishing(self) -> None:
-        """Start or stop publishing results."""
         if self.publishing.on:
             self.publishing.stop()
         elif self.run is not None:
@@ -236,7 +234,6 @@ class LiveController(QObject):
             self.disconnect_all()
 
     def _apply_settings(self) -> None:
-        """Apply the settings of recording and publishing."""
         settings = self.state.settings
         self.recording.folder = Path(settings.record_folder or DEFAULT_FOLDER)
         self.publishing.endpoint = settings.publish_at

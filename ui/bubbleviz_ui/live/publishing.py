@@ -50,7 +50,6 @@ class Publishing(QObject):
         self.changed.emit()
 
     def stop(self) -> None:
-        """Stop publishing."""
         if not self.on:
             return
         self.on = False

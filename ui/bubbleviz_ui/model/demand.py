@@ -66,7 +66,6 @@ class Demand:
         return frozenset(name for name in self.products if name.endswith("_image"))
 
     def without_images(self) -> Demand:
-        """The same demand without images."""
         return replace(self, products=self.products - self.images)
 
     @property

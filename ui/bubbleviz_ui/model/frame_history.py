@@ -67,7 +67,6 @@ class Extremes:
         return max(peak for peak in peaks if peak <= OUTLIER_RATIO * peaks[OUTLIERS])
 
     def include(self, frame: int, known: Numbers) -> None:
-        """Include a frame."""
         self.residual_m = float(np.fmax(self.residual_m, known.residual_m))
         self.force_n = float(np.fmax(self.force_n, known.force_n))
         if known.peak_pa > 0.0:

@@ -94,7 +94,6 @@ def solver_title(solver: str | None) -> str:
 
 
 def _own_titles(*names: str) -> dict[str, str]:
-    """Titles of values that are shown as they are."""
     return {name: name for name in names}
 
 
@@ -145,7 +144,6 @@ class ComparedSetting(_SettingsBase):
 
     @property
     def options(self) -> EstimatorOptions:
-        """Options of the estimator."""
         base = EstimatorOptions.named(self.solver, self.friction)
         return replace(
             base,
@@ -358,7 +356,6 @@ class Settings(_SettingsBase):
 
     @property
     def options(self) -> EstimatorOptions:
-        """Options of the estimator."""
         in_use = self.compared_in_use
         return EstimatorOptions.named(self.solver) if in_use is None else in_use.options
 

@@ -45,12 +45,10 @@ class SourceFacts:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no source is open."""
         return self.title == NOTHING_OPEN
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         return len(self.times_s)
 
     @cached_property

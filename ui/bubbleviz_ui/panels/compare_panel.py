@@ -95,7 +95,6 @@ class SettingColumn:
 
     @property
     def setting(self) -> ComparedSetting:
-        """The chosen options."""
         return self._state.settings.compared[self._number]
 
     def use(self) -> None:

@@ -103,7 +103,6 @@ class ImageCell(Cell):
         self.show(image, low, high, unit)
 
     def clear(self) -> None:
-        """Remove the image."""
         self.image = None
         self.picture.clear()
         self.write("")

@@ -135,7 +135,6 @@ class Cell:
         self.label.setPos(left, -2.0)
 
     def write(self, text: str) -> None:
-        """Set the heading."""
         self.text = text
         self.label.setText(text)
 

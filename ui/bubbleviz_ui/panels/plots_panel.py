@@ -183,7 +183,6 @@ class PlotsPanel(QWidget):
             plot.box.setXLink(timed[0].box)
 
     def _draw(self) -> None:
-        """Redraw all curves."""
         if self._host.ready:
             for plot in self._shown():
                 plot.draw(self._aligned)

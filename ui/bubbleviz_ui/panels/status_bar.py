@@ -270,7 +270,6 @@ class PerformancePopup(QFrame):
         self.show()
 
     def refresh(self) -> None:
-        """Update the numbers."""
         analysing, duration = self._controller.analysis.busy, self._state.units.duration
         requested = names_by_stage(self._state.settings, analysing=analysing)
         counts, right = self._controller.client.solver.counts, range(1, len(COLUMNS) - 1)
@@ -295,7 +294,6 @@ class PerformancePopup(QFrame):
 
 
 def _title(name: str) -> str:
-    """Title of a layer or panel."""
     if name in LAYERS:
         return LAYERS[name].title
     panel = PANELS.get(name)

@@ -181,15 +181,12 @@ class RangeTable(Table):
         self.setHorizontalHeaderLabels([_heading(curve) for curve, _ in columns])
         for row, texts in enumerate(zip(*(_shown(*each) for each in columns), strict=True)):
             self.write(row, texts, right=range(len(columns)))
-        self._fit()
-        for widget in (self, self.copy):
-            widget.setVisible(bool(columns))
-
-    def _fit(self) -> None:
-        """Be as high as the rows, or scroll on a low screen."""
+        # as high as the rows, or scrolled on a low screen
         least = self.full_height + self.horizontalScrollBar().sizeHint().height()
         self.setMaximumHeight(least)
         self.setMinimumHeight(least - self.verticalHeader().length())
+        for widget in (self, self.copy):
+            widget.setVisible(bool(columns))
 
 
 def _heading(curve: Curve) -> str:

@@ -67,7 +67,6 @@ class Timeline(QWidget):
         return MARGIN + float(self._axis.places[frame]) * self._span
 
     def frame_at(self, x: float) -> int:
-        """Frame nearest to a position."""
         return int(self._axis.nearest((x - MARGIN) / self._span))
 
     # -- mouse --------------------------------------------------------------------------------
@@ -118,7 +117,6 @@ class Timeline(QWidget):
         return super().event(event)
 
     def tip(self, frame: int) -> str:
-        """Tool tip of a frame."""
         facts = self._state.facts
         time_text = self._state.units.time.text(float(facts.times_s[frame]))
         parts = [
@@ -139,7 +137,6 @@ class Timeline(QWidget):
     # -- painting -----------------------------------------------------------------------------
 
     def paintEvent(self, event: QPaintEvent) -> None:
-        """Paint the timeline."""
         painter = QPainter(self)
         painter.fillRect(QRectF(MARGIN, RULER, self._span, BAND), QColor(theme.of(self).field))
         self._paint_contact(painter)

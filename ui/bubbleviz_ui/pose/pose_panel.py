@@ -160,7 +160,6 @@ class StartBoxes(QWidget):
         self.fit_units()
 
     def fit_units(self) -> None:
-        """Apply the current units."""
         unit = self._units.length
         for box in self.places:
             with QSignalBlocker(box):
@@ -364,8 +363,8 @@ class PosePanel(QWidget):
         self._write()
         self._redraw.request()
 
-    def _enable_controls(self) -> None:
-        """Enable the controls; none while a fit is running."""
+    def _write(self) -> None:
+        """Update controls and numbers of the pose shown."""
         session = self.session
         idle, has = not session.busy, session.obj is not None
         self.object.setEnabled(idle)
@@ -381,10 +380,6 @@ class PosePanel(QWidget):
         for button in (self.csv, self.tum):
             button.setEnabled(idle and bool(session.rows))
         self.track.setChecked(self._state.settings.pose_track)
-
-    def _write(self) -> None:
-        """Update controls and numbers of the pose shown."""
-        self._enable_controls()
         self._show_object()
         for name, text in pose_texts(self.session, self._state.units).items():
             self.values[name].setText(text)

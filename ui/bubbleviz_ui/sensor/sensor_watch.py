@@ -31,7 +31,6 @@ class SensorWatch(QObject):
         self._files.directoryChanged.connect(self._due.start)
 
     def watch(self, sensor: Sensor) -> None:
-        """Watch the file of another sensor."""
         if watched := [*self._files.files(), *self._files.directories()]:
             self._files.removePaths(watched)
         self._sensor, self._difference = sensor, ""

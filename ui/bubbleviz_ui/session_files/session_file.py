@@ -44,7 +44,6 @@ def with_paths(live: SessionPreset, rename: Rename) -> SessionPreset:
 
 
 def with_sensor(live: SessionPreset, number: int, sensor: str) -> SessionPreset:
-    """Live sensors with one sensor file replaced."""
     places = list(live.sensors)
     places[number] = places[number].model_copy(update={"sensor": sensor})
     return live.model_copy(update={"sensors": tuple(places)})
@@ -275,7 +274,6 @@ def copy_next_to(sensor: Sensor, file: Path) -> Path:
 
 
 def is_copy_next_to(sensor: Sensor, file: Path) -> bool:
-    """Whether a sensor is a copy next to this session file."""
     return sensor.folder.absolute() in _folders(file)
 
 

@@ -74,7 +74,6 @@ def private_display(width: int, height: int) -> Iterator[None]:
 
 
 def _has_application() -> bool:
-    """Whether there is a Qt application."""
     qt = sys.modules.get("PySide6.QtCore")
     return qt is not None and qt.QCoreApplication.instance() is not None
 

@@ -317,7 +317,6 @@ class Steady(QLabel):
     """
 
     def setText(self, text: str) -> None:
-        """Show a text."""
         super().setText(text)
         if self.sizeHint().width() > self.minimumWidth():
             self.fix_width(self.sizeHint().width())

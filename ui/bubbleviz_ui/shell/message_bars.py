@@ -50,7 +50,6 @@ class ScrolledText(QScrollArea):
             each.setAutoFillBackground(False)  # the bar has its own colour
 
     def text(self) -> str:
-        """The whole text."""
         return self._label.text()
 
     def setText(self, text: str) -> None:
@@ -139,7 +138,6 @@ class MessageBar(_Bar):
         return (errors or self._open)[-1]
 
     def _keep(self, wanted: Callable[[UserMessage], bool]) -> None:
-        """Keep only the wanted messages."""
         self._open = [message for message in self._open if wanted(message)]
         self._show_open()
 
@@ -194,7 +192,6 @@ class NoticeBar(QFrame):
         return super().sizeHint().boundedTo(self._room)
 
     def minimumSizeHint(self) -> QSize:
-        """The same as the size hint."""
         return self.sizeHint()
 
     def show_message(self, message: UserMessage) -> None:
@@ -293,7 +290,6 @@ class StepButtons(QButtonGroup):
         fill(QHBoxLayout(self.row), *self.buttons(), 1, margins=(0, 0, 0, 0), spacing=1)
 
     def show_states(self, states: Sequence[StepState]) -> None:
-        """Show the state of each step."""
         colours = theme.of(self.row)
         colour = {StepState.DONE: colours.good, StepState.NEEDS_ATTENTION: colours.doubtful}
         named = zip(self._titles.items(), states, strict=True)

@@ -214,7 +214,6 @@ class ShortcutsDialog(QDialog):
 
     @property
     def name(self) -> str:
-        """The selected action."""
         item = self.table.item(self.table.currentRow(), 0)
         return item.text() if item is not None else ""
 

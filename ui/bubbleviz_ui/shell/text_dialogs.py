@@ -48,7 +48,6 @@ class TextDialog(QDialog):
         fill(QVBoxLayout(self), self.text, fill(QHBoxLayout(), 1, self.copy))
 
     def report(self) -> str:
-        """Text to copy."""
         return self.text.toPlainText()
 
 
@@ -65,7 +64,6 @@ class MessagesDialog(TextDialog):
         messages.revised.connect(self._revise)
 
     def report(self) -> str:
-        """All messages with their details."""
         return "\n".join(message.report() for message in self._messages.all)
 
     def _add(self, message: UserMessage) -> None:

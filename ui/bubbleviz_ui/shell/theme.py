@@ -137,7 +137,6 @@ class Style(QProxyStyle):
         painter: QPainter,
         widget: QWidget | None = None,
     ) -> None:
-        """Draw a control."""
         if element == QStyle.ControlElement.CE_PushButton:
             default = isinstance(widget, QPushButton) and widget.isDefault()
             _emphasise(option, default=default)
@@ -158,7 +157,6 @@ class Style(QProxyStyle):
         painter: QPainter,
         widget: QWidget | None = None,
     ) -> None:
-        """Draw a control of several parts."""
         if control == QStyle.ComplexControl.CC_ToolButton:
             _emphasise(option)
         super().drawComplexControl(control, option, painter, widget)
@@ -170,7 +168,6 @@ class Style(QProxyStyle):
         painter: QPainter,
         widget: QWidget | None = None,
     ) -> None:
-        """Draw an element."""
         if element == QStyle.PrimitiveElement.PE_IndicatorCheckBox:
             _outline(option)
         super().drawPrimitive(element, option, painter, widget)
@@ -204,7 +201,6 @@ def dim(label: QLabel) -> QLabel:
 
 
 def bold(label: QLabel) -> QLabel:
-    """Give a label a bold font."""
     font = label.font()
     font.setBold(True)
     label.setFont(font)

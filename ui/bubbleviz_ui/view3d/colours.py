@@ -109,7 +109,6 @@ class Scales:
         self._shown[sensor_key] = history, result
 
     def forget(self, sensor_key: object) -> None:
-        """Drop the frames of a sensor."""
         self._shown.pop(sensor_key, None)
 
     def of(self, settings: Settings) -> Ranges:
@@ -131,5 +130,4 @@ class Scales:
 
 
 def _round_in(unit: Unit, si: float) -> float:
-    """`si` rounded up to a round number in a unit."""
     return rounded_up(unit.from_si(si)) / unit.from_si(1.0)

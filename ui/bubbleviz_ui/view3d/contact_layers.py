@@ -119,7 +119,6 @@ class ObjectPatchLayer(LinesLayer):
     name, looks = "object_patch", ((theme.OBJECT_PATCH, -250.0, 3),)
 
     def lines(self, picture: Picture) -> Sequence[np.ndarray]:
-        """The edge, if any."""
         patch = picture.result.object_patch
         return () if patch is None else [self.canvas.surface.line(patch.level)]
 
@@ -137,7 +136,6 @@ class ComparedLayer(LinesLayer):
         self._meshes: list[MembraneMesh | None] = [None, None]
 
     def lines(self, picture: Picture) -> Sequence[np.ndarray]:
-        """The patches of A and B."""
         return [self._outline(k, measured, picture) for k, measured in enumerate(self.measured)]
 
     def _outline(
@@ -257,7 +255,6 @@ class ReadoutLayer(Layer):
         canvas.view.rendering.connect(self._fit)
 
     def draw(self, picture: Picture) -> None:
-        """Update the text."""
         result, view = picture.result, self.canvas.view
         head, self._details = readout(result, self.canvas.units, final=picture.final)
         self._doubtful = result.estimate is not None and not result.estimate.trusted

@@ -149,7 +149,6 @@ class Layer:
 
     @property
     def actor(self) -> Any:
-        """The main actor."""
         return self.actors[0]
 
     def add(self, data: Any, **look: Any) -> Any:
@@ -193,7 +192,6 @@ class LinesLayer(Layer):
         self._set_drawn(False)
 
     def draw(self, picture: Picture) -> None:
-        """Draw the lines, if there are any."""
         lines = self.lines(picture)
         if lines:
             for segments, ends in zip(self._lines, lines, strict=True):

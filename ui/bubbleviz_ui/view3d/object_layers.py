@@ -104,7 +104,6 @@ class FitLayer(Layer):
         self._set_drawn(False)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Set the size of another sensor."""
         self._length = ARROW * float(np.hypot(*mesh.nodes[mesh.rim, :2].T).max())
         self._set_drawn(False)
 

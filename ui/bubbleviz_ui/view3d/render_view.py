@@ -70,7 +70,6 @@ class RenderQuality:
 
     @property
     def text(self) -> str:
-        """Quality and renderer."""
         return f"{self.name}, by {self.renderer}" if self.renderer else self.name
 
 
@@ -171,7 +170,10 @@ class View(QtInteractor):  # type: ignore[misc]
         ]
         self.iren.interactor.EnableRenderOff()
         self.renderer.camera.is_set = True  # pyvista would place it itself, and render for that
-        self._add_lights()
+        for position, intensity in LIGHTS:
+            light = pv.Light(light_type="camera light", intensity=intensity)
+            light.position = position
+            self.add_light(light)
 
     def refresh(self) -> None:
         """Request a redraw; calls before it is drawn are merged."""
@@ -354,11 +356,9 @@ class View(QtInteractor):  # type: ignore[misc]
         event.ignore()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Pass keys to the window."""
         event.ignore()
 
     def dragEnterEvent(self, event: QDragEnterEvent) -> None:
-        """Accept files."""
         if event.mimeData().hasUrls():
             event.acceptProposedAction()
 
@@ -368,12 +368,6 @@ class View(QtInteractor):  # type: ignore[misc]
         if paths:
             event.acceptProposedAction()
             self.dropped_files.emit(paths)
-
-    def _add_lights(self) -> None:
-        for position, intensity in LIGHTS:
-            light = pv.Light(light_type="camera light", intensity=intensity)
-            light.position = position
-            self.add_light(light)
 
     def _count_render(self, *_: Any) -> None:
         self.render_count += 1

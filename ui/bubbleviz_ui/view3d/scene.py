@@ -64,7 +64,6 @@ class DrawnLayers:
         view.rendering.connect(self._update_scale)
 
     def set_sensor(self, sensor: Sensor, mesh: MembraneMesh) -> None:
-        """Set the geometry of another sensor."""
         self.hide()
         self.surface.set_mesh(mesh)
         for layer in self.by_name.values():
@@ -105,7 +104,6 @@ class DrawnLayers:
                 layer.draw(picture)
 
     def layer(self, kind: type[L]) -> L:
-        """The layer of a class."""
         layer = self.by_name[kind.name]
         assert isinstance(layer, kind)
         return layer
@@ -205,7 +203,6 @@ class Scene:
         self._view.refresh()
 
     def show(self, result: Result) -> None:
-        """Draw a result."""
         state = self._state
         self.section.apply(state.settings)
         self._drawn.draw(result, state.settings, state.history, final=state.final)
@@ -340,7 +337,6 @@ class OtherSensor:
 
     @property
     def visible(self) -> bool:
-        """Whether it is drawn."""
         return bool(self._assembly.GetVisibility())
 
     def show(self, result: Result, settings: Settings, history: FrameHistory) -> None:
@@ -349,7 +345,6 @@ class OtherSensor:
         self._assembly.SetVisibility(True)
 
     def remove(self) -> None:
-        """Remove the sensor from the view."""
         self._nodes_m = np.empty((0, 3))
         self._drawn.hide()
         self._assembly.SetVisibility(False)

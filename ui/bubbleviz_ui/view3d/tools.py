@@ -51,7 +51,6 @@ class Callout:
         view.follow_theme(lambda _: self.write())
 
     def hide(self) -> None:
-        """Show nothing."""
         self.write = self.hide
         for actor in self.actors:
             actor.SetVisibility(False)
