@@ -37,10 +37,7 @@ def run_window(startup: Startup, *, fresh: bool = True) -> int:
     """
     if has_display():
         keep_in = None if fresh else _user_file
-        with (
-            suppress(WindowClosedError),
-            window_session(startup, keep_in, at_once=True) as session,
-        ):
+        with suppress(WindowClosedError), window_session(startup, keep_in, at_once=True) as session:
             session.window.show()
             return session.run()
         return 0

@@ -9,13 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from PySide6.QtCore import QByteArray, QEvent, Qt, QTimer
-from PySide6.QtGui import (
-    QCloseEvent,
-    QDragEnterEvent,
-    QDropEvent,
-    QResizeEvent,
-    QUndoStack,
-)
+from PySide6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QResizeEvent, QUndoStack
 from PySide6.QtWidgets import QApplication, QLayout, QMainWindow, QSizePolicy, QVBoxLayout, QWidget
 
 from bubbleviz.files import preset_names
@@ -66,12 +60,7 @@ from bubbleviz_ui.shell.dock import (
     resize_on_screen,
     scrolled,
 )
-from bubbleviz_ui.shell.file_dialogs import (
-    last_sensor,
-    remember,
-    remember_sensor,
-    write_picture,
-)
+from bubbleviz_ui.shell.file_dialogs import last_sensor, remember, remember_sensor, write_picture
 from bubbleviz_ui.shell.message_bars import BusyBar, HintBar, MessageBar, NoticeBar
 from bubbleviz_ui.view3d.pointing import Pointing
 from bubbleviz_ui.view3d.render_view import FAST, RenderQuality, View

@@ -112,12 +112,7 @@ class ImageView(QWidget):
         return self._cell.image
 
     def show_image(
-        self,
-        title: str,
-        image: np.ndarray | None,
-        unit: Unit,
-        low: float = 0.0,
-        high: float = 1.0,
+        self, title: str, image: np.ndarray | None, unit: Unit, low: float = 0.0, high: float = 1.0
     ) -> None:
         """Show an image (H, W) in SI with colours from `low` to `high`; None: no image."""
         self._host.prepare()

@@ -75,9 +75,7 @@ class CalibrationPanel(QWidget):
         )
         self.progress = JobProgress()
         self.cancel = push_button(
-            "Cancel",
-            "Stop, and go back to the settings of the results shown",
-            calibration.cancel,
+            "Cancel", "Stop, and go back to the settings of the results shown", calibration.cancel
         )
         self._lay_out()
         self._connect()

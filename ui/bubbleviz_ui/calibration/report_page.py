@@ -200,9 +200,7 @@ class ValidationPage(Page):
     def _lay_out(self) -> None:
         frames = fill(QHBoxLayout(), self.first, QLabel("to"), self.last, 1)
         rows = form(
-            ("Object", self.obj),
-            ("Pose: x y z in m,\nqx qy qz qw", self.pose),
-            ("Frames", frames),
+            ("Object", self.obj), ("Pose: x y z in m,\nqx qy qz qw", self.pose), ("Frames", frames)
         )
         buttons = fill(QHBoxLayout(), self.predict, self.remove)
         fill(self.column, self.view, rows, buttons, self.summary, self.numbers, 1)

@@ -23,13 +23,7 @@ from bubbleviz.output import ComparedResult, SettingsComparison
 from bubbleviz.pipeline import DIAGNOSTICS, FLOW_PRODUCTS, FrameOptions, Pipeline, Product
 from bubbleviz.processes import PipelineProcess
 from bubbleviz.progress import Cancelled
-from bubbleviz.recordings import (
-    Frame,
-    FrameSource,
-    Gap,
-    HeldFrames,
-    Recording,
-)
+from bubbleviz.recordings import Frame, FrameSource, Gap, HeldFrames, Recording
 from bubbleviz.result import Estimate, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor

@@ -101,10 +101,7 @@ UNIT_CHOICES: dict[str, dict[str, dict[str, Unit]]] = {
         "Pa": {"pressure": Unit("Pa", 1.0, 0), "gas_pressure": Unit("Pa", 1.0, 0)},
         "psi": {"pressure": Unit("psi", 1 / PSI, 3), "gas_pressure": Unit("psi", 1 / PSI, 4)},
     },
-    "force_unit": {
-        "N": {"force": Unit("N", 1.0, 2)},
-        "mN": {"force": Unit("mN", 1e3, 0)},
-    },
+    "force_unit": {"N": {"force": Unit("N", 1.0, 2)}, "mN": {"force": Unit("mN", 1e3, 0)}},
     "duration_unit": {
         "ms": {"duration": Unit("ms", 1.0, 1)},
         "s": {"duration": Unit("s", 1e-3, 4)},

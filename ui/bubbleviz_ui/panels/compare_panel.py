@@ -151,9 +151,7 @@ class OtherRecording(QWidget):
             self._start,
         )
         self.remove = push_button(
-            "Remove",
-            "Remove the other recording and sensor file from the comparison",
-            self._forget,
+            "Remove", "Remove the other recording and sensor file from the comparison", self._forget
         )
         self.drawn = QCheckBox("Second membrane")
         self.result = QLabel(wordWrap=True)

@@ -27,11 +27,7 @@ class LayersPanel(QWidget):
         line.setFrameStyle(QFrame.Shape.HLine | QFrame.Shadow.Plain)
         line.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         rows = form(
-            self.cloud_colour,
-            self.cloud_points,
-            self.opacity,
-            self.pressure_max,
-            self.residual_max,
+            self.cloud_colour, self.cloud_points, self.opacity, self.pressure_max, self.residual_max
         )
         rows.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
         fill(QVBoxLayout(self), *self.boxes.values(), line, rows, margins=(6, 10, 2, 10), spacing=5)

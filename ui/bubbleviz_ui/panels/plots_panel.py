@@ -86,12 +86,7 @@ class PlotsPanel(QWidget):
         plots = scrolled(self._host)
         plots.setMinimumHeight(LEAST_HEIGHT)
         self._column = fill(
-            QVBoxLayout(self),
-            row,
-            (plots, 1),
-            self.statistics,
-            margins=(8, 4, 8, 4),
-            spacing=4,
+            QVBoxLayout(self), row, (plots, 1), self.statistics, margins=(8, 4, 8, 4), spacing=4
         )
         self.progress.setFixedWidth(200)
         self.progress.hide()

@@ -30,11 +30,7 @@ from bubbleviz_ui.panels.images_panel import probe_lines
 from bubbleviz_ui.panels.profile_plot import ProfilePlot
 from bubbleviz_ui.shell.binding import Binding, control, form
 from bubbleviz_ui.shell.dock import fill, push_button
-from bubbleviz_ui.shell.file_dialogs import (
-    file_to_save,
-    name_of_output,
-    write_picture,
-)
+from bubbleviz_ui.shell.file_dialogs import file_to_save, name_of_output, write_picture
 from bubbleviz_ui.shell.shortcuts import STEP, Shortcuts
 from bubbleviz_ui.view3d.render_view import View
 from bubbleviz_ui.view3d.scene import Scene

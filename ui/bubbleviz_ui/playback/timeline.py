@@ -151,11 +151,7 @@ class Timeline(QWidget):
     def _paint_contact(self, painter: QPainter) -> None:
         known = columns(self._state.history.contact, self._axis, int(self._span))
         ends = np.flatnonzero(np.diff(known)) + 1
-        colours = {
-            FREE: theme.of(self).free,
-            CONTACT: theme.CONTACT,
-            UNTRUSTED: theme.UNTRUSTED,
-        }
+        colours = {FREE: theme.of(self).free, CONTACT: theme.CONTACT, UNTRUSTED: theme.UNTRUSTED}
         for start, stop in zip([0, *ends], [*ends, len(known)], strict=True):
             if known[start] != UNKNOWN:
                 place = QRectF(MARGIN + float(start), RULER, float(stop - start), BAND)

@@ -27,12 +27,7 @@ def name_of_output(title: str, what: str) -> str:
 
 
 def file_to_open(
-    parent: QWidget,
-    title: str,
-    kinds: str = "",
-    *,
-    of: str,
-    proposed: Path | None = None,
+    parent: QWidget, title: str, kinds: str = "", *, of: str, proposed: Path | None = None
 ) -> Path | None:
     """Ask for a file to read; None: cancelled.
 
