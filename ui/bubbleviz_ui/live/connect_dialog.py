@@ -39,7 +39,7 @@ from bubbleviz.live import (
 )
 from bubbleviz.recordings import AUTO
 from bubbleviz.sensor import Sensor, load_sensor
-from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.live.connection import pair, single
 from bubbleviz_ui.live.live_controller import LiveController
 from bubbleviz_ui.shell.binding import options
@@ -229,7 +229,12 @@ class ConnectDialog(QDialog):
         if kind == ZENOH:
             self.problem.setText("Looking for topics…")
         function = partial(_begin, f"{kind}:{place}", sensor)
-        self._worker.submit(function, self._take, self._on_failure, discard=LiveSource.stop)
+        self._worker.submit(
+            function,
+            self._take,
+            lambda failed: self._show_topics((), failed.message),
+            discard=LiveSource.stop,
+        )
 
     def _stop(self) -> None:
         self._typing_timer.stop()
@@ -243,9 +248,6 @@ class ConnectDialog(QDialog):
         self._found = source
         self._timer.start()
         self._show_found()
-
-    def _on_failure(self, failed: Failed) -> None:
-        self._show_topics((), failed.message)
 
     def _show_found(self) -> None:
         if (source := self._found) is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
@@ -73,7 +72,13 @@ class Connection(QObject):
             self._waiting_stream = stream
             self._worker.progress("waiting", 0.0)  # raises `Cancelled`
 
-        self.preset = _with_sensors(self.preset, waiting)
+        places = tuple(
+            place.model_copy(
+                update={"sensor": sensor_for_source(place.source, place.sensor, math.inf, waiting)}
+            )
+            for place in self.preset.sensors
+        )
+        self.preset = self.preset.model_copy(update={"sensors": places})
         self._waiting_stream = None
         session = LiveSession(self.preset, self._pre_roll_s)
         session.__enter__()
@@ -127,17 +132,6 @@ def pair(first: SessionPreset, second: str) -> SessionPreset:
 def _title(preset: SessionPreset, number: int) -> str:
     place = preset.sensors[number]
     return place.source if len(preset.sensors) == 1 else f"{preset.title}, {place.name}"
-
-
-def _with_sensors(preset: SessionPreset, waiting: Callable[[LiveStream], None]) -> SessionPreset:
-    """The preset with automatic sensors resolved by the size of the images."""
-    places = tuple(
-        place.model_copy(
-            update={"sensor": sensor_for_source(place.source, place.sensor, math.inf, waiting)}
-        )
-        for place in preset.sensors
-    )
-    return preset.model_copy(update={"sensors": places})
 
 
 def _waiting_text(stream: LiveStream) -> str:

@@ -254,7 +254,8 @@ class LiveBar(QFrame):
             return ""
         text = self._units.rate.text((frames - before) / (now - then))
         if badge not in ("frozen", "ended"):
-            text += f", shown {self._units.rate.text(self._live.shown_hz)}"
+            shown_hz = self._controller.client.solve_rate.rate_hz(time.perf_counter())
+            text += f", shown {self._units.rate.text(shown_hz)}"
         return f"{text}, {self._live.shown_age_s:.1f}&nbsp;s&nbsp;old" if badge == "stale" else text
 
     _rate_samples: deque[tuple[float, int]] | None = None

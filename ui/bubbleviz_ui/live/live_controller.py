@@ -83,11 +83,6 @@ class LiveController(QObject):
             return 0.0
         return 1e-9 * (time.time_ns() - self._controller.result.frame.arrival_ns)
 
-    @property
-    def shown_hz(self) -> float:
-        """Number of frames shown in the last second."""
-        return self._controller.client.solve_rate.rate_hz(time.perf_counter())
-
     def connect_to(self, preset: SessionPreset) -> None:
         """Connect to a session; the current source stays open until frames arrive."""
         self.cancel()
@@ -201,7 +196,17 @@ class LiveController(QObject):
         self._warnings = frozenset(found)
 
     def _on_ready(self, run: LiveRun) -> None:
-        if not self._controller.opening.open_group(_sensors_of(run)):
+        sensors = [
+            PlacedSensor(
+                each.place.name,
+                each.place.colour,
+                Source.of_stream(frames),
+                lambda sensor=each.sensor: sensor,  # type: ignore[misc]
+                each.place.T_W_B,
+            )
+            for each, frames in zip(run.session.sensors, run.frames, strict=True)
+        ]
+        if not self._controller.opening.open_group(sensors):
             self.cancel()
             self._worker.submit(run.close)
             return
@@ -241,29 +246,13 @@ class LiveController(QObject):
             self.run.session.recorder.pre_roll_s = settings.pre_roll_s
 
     def _on_markers(self) -> None:
+        """Write new markers of the timeline to the recording, at the frames' arrival times."""
         marked = frozenset(self.state.markers)
         for frame in sorted(marked - self._marked):
-            self._record_marker(frame)
+            if self.state.facts.grows and self.run is not None:
+                at_ns = self.run.frames[self._controller.chosen].arrival_ns(frame)
+                self.recording.mark(f"marker at frame {frame}", at_ns)
         self._marked = marked
-
-    def _record_marker(self, frame: int) -> None:
-        """Write a marker of the timeline to the recording, at the frame's arrival time."""
-        if self.state.facts.grows and self.run is not None:
-            at_ns = self.run.frames[self._controller.chosen].arrival_ns(frame)
-            self.recording.mark(f"marker at frame {frame}", at_ns)
 
     def _update_published_products(self) -> None:
         self._controller.set_extra_products(PRODUCTS if self.publishing.on else frozenset())
-
-
-def _sensors_of(run: LiveRun) -> list[PlacedSensor]:
-    return [
-        PlacedSensor(
-            each.place.name,
-            each.place.colour,
-            Source.of_stream(frames),
-            lambda sensor=each.sensor: sensor,  # type: ignore[misc]
-            each.place.T_W_B,
-        )
-        for each, frames in zip(run.session.sensors, run.frames, strict=True)
-    ]

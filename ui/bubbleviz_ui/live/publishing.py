@@ -67,17 +67,6 @@ class Publishing(QObject):
         for sender in self._senders:
             sender.diagnose()
 
-    def _put(self, message: Message) -> None:
-        """Publish a message, in any thread."""
-        with self._lock:
-            if self._publisher is not None:
-                self._publisher.put(message)
-
-    def _is_subscribed(self, topic: str, kind: str) -> bool:
-        """Whether a topic has a subscriber; in any thread."""
-        with self._lock:
-            return self._publisher is not None and self._publisher.is_subscribed(topic, kind)
-
     def close(self) -> None:
         """Stop, and ask the thread to end."""
         self.stop()
@@ -95,13 +84,18 @@ class Publishing(QObject):
             self._publisher = publisher
         recorder, several = run.session.recorder, len(run.frames) > 1
 
-        def send(message: Message) -> None:
-            self._put(message)
+        def send(message: Message) -> None:  # in any thread
+            with self._lock:
+                if self._publisher is not None:
+                    self._publisher.put(message)
             if recorder.recording or are_static_poses(message.topic, message.type):
                 recorder.push(message._replace(arrival_ns=time.time_ns()))
 
         def is_wanted(topic: str, kind: str) -> bool:
-            return self._is_subscribed(topic, kind) or recorder.recording
+            with self._lock:
+                opened = self._publisher
+                subscribed = opened is not None and opened.is_subscribed(topic, kind)
+            return subscribed or recorder.recording
 
         for frames, each in zip(run.frames, run.session.sensors, strict=True):
             name = each.place.name if several else ""

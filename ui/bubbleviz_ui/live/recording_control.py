@@ -48,7 +48,7 @@ class Recording(QObject):
             self._worker.submit(
                 lambda: recorder.stop() if recorder.recording else None,
                 self._on_stopped,
-                self._on_broken,
+                lambda failed: self._notify("error", failed.message),
             )
             self.changed.emit()
 
@@ -75,9 +75,6 @@ class Recording(QObject):
         self.busy, self._recorder = False, None
         self._notify("error", f"Not recording: {failed.message}")
         self.changed.emit()
-
-    def _on_broken(self, failed: Failed) -> None:
-        self._notify("error", failed.message)
 
     def _on_stopped(self, status: RecorderStatus | None) -> None:
         if status is None:
