@@ -61,7 +61,7 @@ class SessionSaver(QObject):
         self._window, self._keys = window, keys
         self.recent: tuple[str, ...] = ()  # Recent files, newest first
         self.hinted = False  # The first-run hint was read
-        self._opened: Opened | None = None
+        self._source: Source | None = None  # Open; None before the first
         self._absent: SavedSession | None = None  # its source is missing; another one is open
         self._connect_later: SessionPreset | None = None
         self._problems: list[str] = []
@@ -97,7 +97,7 @@ class SessionSaver(QObject):
 
     def save(self) -> None:
         """Write the user's file atomically, if something has changed."""
-        if self._file is None or self._opened is None:
+        if self._file is None or self._source is None:
             return
         self._file.parent.mkdir(parents=True, exist_ok=True)
         user = UserFile(session=self.snapshot(self._file), recent=self.recent, hinted=self.hinted)
@@ -259,7 +259,7 @@ class SessionSaver(QObject):
         If it failed to open at the start, the session is kept for the next one.
         """
         if failed is not None:
-            if self._opened is None:
+            if self._source is None:
                 self._problems, self._absent = [failed.message], saved
             return
         with self._window.undo_recorder.unrecorded():
@@ -281,15 +281,11 @@ class SessionSaver(QObject):
 
     # -- inside -------------------------------------------------------------------------------
 
-    @property
-    def _source(self) -> Source | None:
-        return None if self._opened is None else self._opened.request.source
-
     def _sensor_name(self, file: Path | None) -> str | None:
         """The sensor in use: a preset, a file of the user, or its copy next to `file`."""
-        if self._opened is None:
+        sensor = self._window.controller.sensor
+        if sensor is None:
             return None
-        sensor = self._opened.sensor
         if file is None or not self._is_unsaved(sensor) or is_copy_next_to(sensor, file):
             return name_of(sensor)
         if self._copied is None or self._copied[0] is not sensor or self._copied[1] != file:
@@ -315,7 +311,7 @@ class SessionSaver(QObject):
 
     def _restore_without_source(self, saved: SavedSession) -> None:
         """Restore a session whose source is missing: connect its live sensors, or keep it."""
-        if self._opened is None:
+        if self._source is None:
             has_one = saved.source is not None or saved.live is not None
             self._absent, self._connect_later = saved if has_one else None, saved.live
         else:
@@ -324,10 +320,13 @@ class SessionSaver(QObject):
                 self._window.live_controller.connect_to(saved.live)
 
     def _on_opened(self, opened: Opened) -> None:
-        before, self._opened = self._opened, opened
-        source, sensor = opened.request.source, name_of(opened.sensor)
-        if before is not None and before.request.source is not source:
-            self._forget_absent()
+        before, self._source = self._source, opened.request.source
+        source, sensor = self._source, name_of(opened.sensor)
+        if before is not None and before is not source:
+            if self._absent is not None and not self._is_live:
+                # else it would replace the source that the user has opened
+                self._window.live_controller.cancel()
+            self._absent = None  # its source arrived, or the user opened another one
         if (
             sensor is not None
             and Path(sensor).is_absolute()
@@ -336,13 +335,6 @@ class SessionSaver(QObject):
             self._remember(sensor)
         if source.path is not None:
             self._remember(str(source.path.absolute()))
-
-    def _forget_absent(self) -> None:
-        """Discard the missing session: its source arrived, or the user opened another one."""
-        if self._absent is not None and not self._is_live:
-            # else it would replace the source that the user has opened
-            self._window.live_controller.cancel()
-        self._absent = None
 
     def _on_source(self) -> None:
         """A source is open: connect to the live one of the session that is missing."""

@@ -55,10 +55,9 @@ class PlayClock:
         index = self._end if ended else min(max(index, self._first), self._end)
         moved = index + int(turns) * (self._end - self._first + 1) - self._last
         if every_frame and moved > 1:
-            self.start(
-                self._first if self._last >= self._end else self._last + 1, wall_s, self._speed
-            )
-            return self._last, 0, False
+            following = self._first if self._last >= self._end else self._last + 1
+            self.start(following, wall_s, self._speed)
+            return following, 0, False
         if turns:
             self._start_s, self._wall_s = begin + within, wall_s
         self._last = index

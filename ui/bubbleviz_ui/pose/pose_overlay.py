@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from PySide6.QtCore import QObject
 
-from bubbleviz.result import Pose
-from bubbleviz.rigid_object import RigidObject
 from bubbleviz_ui.model.session_state import SessionState
 from bubbleviz_ui.pose.pose_session import PoseSession
 from bubbleviz_ui.shell import theme
@@ -26,38 +24,25 @@ class PoseOverlay(QObject):
     def __init__(self, view: View, scene: Scene, session: PoseSession, state: SessionState) -> None:
         super().__init__(session)
         self._view, self._scene, self._session, self._state = view, scene, session, state
-        self._obj: RigidObject | None = None
-        self._start: np.ndarray | None = None
-        self._pose: Pose | None = None
-        self._at_start = True  # No pose was found since the initial pose was set
-        session.changed.connect(self._on_changed)
-        state.follow({"panels"}, self._on_changed)
+        session.changed.connect(self._draw)
+        state.follow({"panels"}, self._draw)
 
-    def _on_changed(self) -> None:
+    def _draw(self) -> None:
         session, scene = self._session, self._scene
         pose, start = session.pose, session.start
-        if session.obj is not self._obj:
-            self._obj = session.obj
-            scene.object.set_object(session.obj)
-        started = start is not self._start and start is not None
-        self._at_start = started or pose is None or (self._at_start and pose is self._pose)
-        self._start, self._pose = start, pose
+        scene.object.set_object(session.obj)
         found = session.here and pose is not None and pose.status == "ok"
         if not (found or "pose" in self._state.settings.panels):
             pose = None
             scene.object.put(None)
-        elif self._at_start:
-            self._draw_start(start)
+        elif session.at_start and start is None and session.obj is not None:
+            above = np.eye(4)
+            above[2, 3] = ABOVE_M + float(np.ptp(session.obj.vertices[:, 2]))
+            scene.object.put(above, theme.NEUTRAL)
+        elif session.at_start:
+            scene.object.put(start)
         elif pose is not None:
-            scene.object.show_pose(pose, session.stage, touched=session.touched)
+            stage = self._state.settings.pose_stage
+            scene.object.show_pose(pose, stage, touched=session.touched)
         scene.fit.show_pose(pose)
         self._view.refresh()
-
-    def _draw_start(self, start: np.ndarray | None) -> None:
-        """Draw the object at its initial pose, or above the membrane if there is none."""
-        if start is None and self._obj is not None:
-            above = np.eye(4)
-            above[2, 3] = ABOVE_M + float(np.ptp(self._obj.vertices[:, 2]))
-            self._scene.object.put(above, theme.NEUTRAL)
-        else:
-            self._scene.object.put(start)

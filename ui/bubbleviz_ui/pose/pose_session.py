@@ -167,6 +167,7 @@ class PoseSession(QObject):
         self.here = False  # Whether that is the frame shown
         self.busy = False  # A single fit is running
         self.problem = ""  # Why the chosen object was rejected
+        self._start_set = False  # Since the last pose was found
         self.rows: dict[int, PoseRow] = {}  # All poses of the object, by frame
         # other poses (4, 4) that fit as well as the one found by search; index of that frame
         self.others: list[np.ndarray] = []
@@ -182,9 +183,9 @@ class PoseSession(QObject):
         return self._state.settings.pose_object
 
     @property
-    def stage(self) -> int:
-        """Stage of the fit at which the object is drawn."""
-        return self._state.settings.pose_stage
+    def at_start(self) -> bool:
+        """Whether no pose was found since the initial pose was set."""
+        return self._start_set or self.pose is None
 
     def choose(self, name: str | None) -> None:
         """Register another object, or none; the same one is loaded again."""
@@ -237,7 +238,7 @@ class PoseSession(QObject):
         if found.session is not self._controller.client.session:
             return
         pose, self.rows, self.others = found.pose, dict(found.rows), []
-        self.pose, start = pose, self.start
+        self.pose, self._start_set, start = pose, False, self.start
         if found.track and has_pose(pose):
             start = pose.T_B_O
         settings = self._state.settings
@@ -305,6 +306,7 @@ class PoseSession(QObject):
             self.start = None if numbers is None else pose_matrix(np.array(numbers))
         except InputError:  # of a session file edited by hand
             self.start = None
+        self._start_set |= self.start is not None
 
     def _take_object(
         self, requested: tuple[str | None, FileUnit | None], fitted: bool, obj: RigidObject | None
@@ -332,7 +334,7 @@ class PoseSession(QObject):
         if stale:
             self.others = []
         if result.pose is not None and new:
-            self.pose, self.pose_frame = result.pose, index
+            self.pose, self.pose_frame, self._start_set = result.pose, index, False
             self.touched = result.estimate is None or result.estimate.status != "no_contact"
             if len(result.pose.others):
                 self.others, self._searched = [*result.pose.others], index

@@ -27,14 +27,16 @@ class ObjectLayer(Layer):
         super().__init__(canvas)
         self._poly = pv.PolyData(np.zeros((3, 3)), np.array([3, 0, 1, 2]))
         self.add(self._poly, color=DETERMINED, opacity=OPACITY, ambient=0.3)
-        self._has_mesh = False
+        self._obj: RigidObject | None = None
         # (4, 4) pose at which it is drawn; None while it is hidden
         self.T_B_O: np.ndarray | None = None
         self._set_drawn(False)
 
     def set_object(self, obj: RigidObject | None) -> None:
         """Set another object, or none; hidden until it has a pose."""
-        self._has_mesh = obj is not None
+        if obj is self._obj:
+            return
+        self._obj = obj
         if obj is not None:
             self._poly.points = obj.vertices.astype(float)
             self._poly.faces = cells(obj.triangles)
@@ -61,7 +63,7 @@ class ObjectLayer(Layer):
         if self.T_B_O is not None:
             self.actor.user_matrix = self.T_B_O
             self.actor.prop.color = colour
-        self._set_drawn(self._has_mesh and self.T_B_O is not None)
+        self._set_drawn(self._obj is not None and self.T_B_O is not None)
 
 
 # Fit of the object: distances of contact points, correspondences, undetermined directions.
