@@ -28,6 +28,7 @@ from bubbleviz_ui.shell.file_dialogs import (
 )
 
 SESSIONS = f"Sessions (*{SESSION_SUFFIX});;All files (*)"
+TRUTHS = "Ground truth (*.npz);;All files (*)"
 OPENED_BY_WINDOW = (".mcap", ".toml", SESSION_SUFFIX)
 """Suffixes of written files that the window itself opens; others go to the desktop."""
 
@@ -83,7 +84,7 @@ class Files(QObject):
 
     # -- chosen in a dialog -------------------------------------------------------------------
 
-    def _choose(self, title: str, kinds: str, of: str, use: Callable[[Path], object]) -> None:
+    def choose(self, title: str, kinds: str, of: str, use: Callable[[Path], object]) -> None:
         """Ask for a file and use it."""
         path = file_to_open(self._window, title, kinds, of=of)
         if path is not None:
@@ -100,18 +101,6 @@ class Files(QObject):
         path = folder_to_open(self._window, "Open recording folder", of="recording")
         if path is not None:
             self._opening.open_recording(path)
-
-    def choose_sensor(self) -> None:
-        """Ask for a sensor file to use."""
-        self._choose("Open sensor", SENSOR_FILES, "sensor", self._opening.open_sensor_file)
-
-    def choose_truth(self) -> None:
-        """Ask for the ground truth of the open recording."""
-        kinds = "Ground truth (*.npz);;All files (*)"
-        self._choose("Open ground truth", kinds, "recording", self._opening.use_ground_truth)
-
-    def choose_session(self) -> None:
-        self._choose("Open session", SESSIONS, "session", self._saver.open)
 
     def save_session(self) -> None:
         proposed = name_of_output(self._window.state.title, f"session{SESSION_SUFFIX}")

@@ -18,7 +18,7 @@ from bubbleviz.files import pages_folder, preset_names
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.export.export_dialog import ExportDialog
-from bubbleviz_ui.files import Files
+from bubbleviz_ui.files import SESSIONS, TRUTHS, Files
 from bubbleviz_ui.model.frame_history import CONTACT, UNTRUSTED
 from bubbleviz_ui.model.registry import LAYERS
 from bubbleviz_ui.model.scene_presets import load_scene
@@ -32,6 +32,7 @@ from bubbleviz_ui.playback.contacts_dialog import ContactsDialog
 from bubbleviz_ui.session_saver import SessionSaver
 from bubbleviz_ui.shell.binding import Binding, bind_exclusive, bind_membership
 from bubbleviz_ui.shell.command_palette import CommandPalette
+from bubbleviz_ui.shell.file_dialogs import SENSOR_FILES
 from bubbleviz_ui.shell.settings_dialog import SettingsDialog
 from bubbleviz_ui.shell.shortcuts import DYNAMIC, Shortcuts, ShortcutsDialog
 from bubbleviz_ui.shell.text_dialogs import InformationDialog, MessagesDialog, PagesDialog
@@ -115,16 +116,20 @@ class Menus(QObject):
         files = self._files
         self._add(menu, "&Open recording…", files.choose_recordings, QKeySequence.StandardKey.Open)
         self._add(menu, "Open recording &folder…", files.choose_folder, "Ctrl+Shift+O")
-        self._add(menu, "Open &sensor…", files.choose_sensor, "Ctrl+E")
-        self._add(menu, "Open ground &truth…", files.choose_truth)
+        opening = self._window.controller.opening
+        sensor = "Open sensor", SENSOR_FILES, "sensor", opening.open_sensor_file
+        truth = "Open ground truth", TRUTHS, "recording", opening.use_ground_truth
+        self._add(menu, "Open &sensor…", lambda: files.choose(*sensor), "Ctrl+E")
+        self._add(menu, "Open ground &truth…", lambda: files.choose(*truth))
         self._recent(menu.addMenu("Open &recent"))
         self._depth_topics(menu.addMenu("Depth to&pic"))
-        self._add(menu, "Re&load", self._window.controller.opening.reload, "F5")
+        self._add(menu, "Re&load", opening.reload, "F5")
         about = self._window.controller, self._window.reading
         self._dialog(menu, "Infor&mation…", InformationDialog, *about, keys="Alt+Return")
         self._add(menu, "&Close", files.close, "Ctrl+W")
         menu.addSeparator()
-        self._add(menu, "Open sess&ion…", files.choose_session)
+        session = "Open session", SESSIONS, "session", self._saver.open
+        self._add(menu, "Open sess&ion…", lambda: files.choose(*session))
         save = self._add(menu, "&Save session as…", files.save_session)
         save.setShortcuts([QKeySequence("Ctrl+S"), QKeySequence("Ctrl+Shift+S")])
         menu.addSeparator()
@@ -223,7 +228,7 @@ class Menus(QObject):
         ):
             self._add(menu, title, partial(state.step_seconds, seconds), keys)
         self._add(menu, "&First frame", lambda: state.seek(0), "Home")
-        self._add(menu, "&Last frame", state.seek_last, "End")
+        self._add(menu, "&Last frame", lambda: state.seek(state.facts.frames - 1), "End")
         self._add(menu, "&Go to frame…", self._go_to_frame, "Ctrl+G")
         for title, kind, key in (
             ("{} contact", CONTACT, "Ctrl+Pg"),

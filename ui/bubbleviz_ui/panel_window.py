@@ -398,7 +398,8 @@ class PanelWindow(QMainWindow):
 
     def _on_replaced(self) -> None:
         """Remove warnings about the previous source; the other sensors keep theirs."""
-        self.message.drop_warnings([each.prefix for each in self.controller.others])
+        kept = [each.prefix for each in self.controller.others]
+        self.message.keep(lambda message: message.kind == "error" or message.topic in kept)
 
     def _on_source(self, facts: SourceFacts) -> None:
         self._show_title()

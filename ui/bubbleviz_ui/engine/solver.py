@@ -29,7 +29,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import truth_of
-from bubbleviz.zeros import ImageZero, PressureZero, Zeros, wrench_bias, zeros_of
+from bubbleviz.zeros import ImageZero, Zeros, wrench_bias, zeros_of
 from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.shear_reference import ShearReference
 from bubbleviz_ui.engine.source import NO_SOURCE, PlacedSensor, Source
@@ -506,8 +506,11 @@ def _facts(current: OpenSource, sensor: Sensor) -> SourceFacts:
     zero = current.zeros.gas if stream is None else None  # a live source reports its zero later
     # recordings have a note
     remarks = [str(getattr(source, "note", ""))]
-    if stream is None:
-        remarks.append(_zero_remark(zero))
+    # an offset within the sensor's noise is no remark; `FrameWarnings` tells of a repeated value
+    offset_pa = None if zero is None else zero.offset_pa
+    small = offset_pa is not None and abs(offset_pa) < REPORTED_ZERO_PA
+    if zero is not None and not (zero.frozen or small):
+        remarks.append(zero.words)
     return SourceFacts(
         source.name,
         sensor.name,
@@ -580,17 +583,6 @@ def _solver_process(
     process = PipelineProcess(pipeline, still)
     stream.at_end(process.end)
     return process
-
-
-def _zero_remark(zero: PressureZero | None) -> str:
-    """Remark on a recording's zero; empty if its offset is within the sensor's noise.
-
-    That of a sensor which repeats one value is told by `FrameWarnings`.
-    """
-    if zero is None or zero.frozen:
-        return ""
-    small = zero.offset_pa is not None and abs(zero.offset_pa) < REPORTED_ZERO_PA
-    return "" if small else zero.words
 
 
 def _checked_remark(source: Recording, model: SensorModel) -> str:

@@ -195,7 +195,10 @@ class Worker(QObject):
 
     def _serve(self) -> None:
         job = self._take()
-        if job is None or self._is_stale(job):
+        if job is None:
+            return
+        if job.key in self._keys[1:] and not 0 < job.generation == self._running:
+            self._wanted.discard(job)  # it was meant for the previous source
             return
         self._job, self._progress_s = job, 0.0
         try:
@@ -219,12 +222,6 @@ class Worker(QObject):
                 job.discard(answer)
         finally:
             self._job = None  # it refers to what waits for its result
-
-    def _is_stale(self, job: _Job) -> bool:
-        stale = job.key in self._keys[1:] and not 0 < job.generation == self._running
-        if stale:
-            self._wanted.discard(job)
-        return stale
 
     def _defer(self, job: _Job) -> None:
         with self._changed:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -137,17 +138,14 @@ class VideoExport(QObject):
         count = len(self._frames)
         with open_mp4(self._path, self._fps) as writer:
             for done in range(count):
-                writer.add(self._picture(progress, done / count))
+                picture = None
+                while picture is None:
+                    progress("drawing", done / count)
+                    with suppress(Empty):
+                        picture = self._pictures.get(timeout=POLL_S)
+                writer.add(picture)
                 self._picture_written.emit()
         return f"Exported {count_of(count, 'frame')} to {self._path}, {self._fps:.3g} per second"
-
-    def _picture(self, progress: Progress, done: float) -> np.ndarray:
-        while True:
-            progress("drawing", done)
-            try:
-                return self._pictures.get(timeout=POLL_S)
-            except Empty:
-                continue
 
     def _scale(self) -> None:
         """Have all frames known first, as the scales must not change in the video."""

@@ -125,7 +125,8 @@ class FrameHistory:
             for name, value in zip(PATCH_QUANTITIES[1:], known.center_m, strict=True):
                 self.values[name][frame] = value
             self.values["has"][frame] |= _PATCH
-            self.contact[frame] = _contact(known)
+            free = FREE if known.area_m2 <= 0.0 else CONTACT
+            self.contact[frame] = free if known.status in TRUSTED else UNTRUSTED
 
     def forget(self) -> None:
         """Drop the numbers of all frames, as forces are estimated otherwise; scales stay."""
@@ -198,12 +199,6 @@ class FrameHistory:
             value = getattr(known, name)
             if name != "latency_ms" or not np.isnan(value):
                 self.values[name][frame] = value
-
-
-def _contact(known: Numbers) -> int:
-    if known.status not in TRUSTED:
-        return UNTRUSTED
-    return CONTACT if known.area_m2 > 0.0 else FREE
 
 
 def grown(values: np.ndarray, count: int, fill: float | np.ndarray) -> np.ndarray:

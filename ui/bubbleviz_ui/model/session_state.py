@@ -100,10 +100,6 @@ class SessionState(QObject):
         self.frame = index
         self.frame_changed.emit(index, by_playback)
 
-    def seek_last(self) -> None:
-        """Move the cursor to the last frame."""
-        self.seek(self.facts.frames - 1)
-
     def step(self, frames: int) -> None:
         """Stop playing and move the cursor by some frames."""
         if not self.facts.live:

@@ -266,10 +266,8 @@ class SensorPanel(QWidget):
             return
         kinds = "Sensor files (*.toml)"
         path, _ = new_file(self, "Save sensor as", _proposed(copy), kinds, of="sensor")
-        if path is not None:
-            self._save(copy, path)
-
-    def _save(self, copy: Sensor, path: Path) -> None:
+        if path is None:
+            return
         if self._state.messages.report("sensor file", path, partial(save_sensor, copy, path)):
             self._end()
             self._opening.open_sensor_file(path)

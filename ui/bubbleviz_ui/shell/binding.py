@@ -281,6 +281,9 @@ BUTTON_KEYS = frozenset({Qt.Key.Key_Space})
 SLIDER_KEYS = frozenset({Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Home, Qt.Key.Key_End})
 
 
+UNDO_KEYS = QKeySequence.StandardKey.Undo, QKeySequence.StandardKey.Redo
+
+
 class ControlInput(QObject):
     """Event filter of controls: without focus they ignore the wheel.
 
@@ -294,21 +297,15 @@ class ControlInput(QObject):
             return not watched.hasFocus()
         if event.type() == QEvent.Type.ShortcutOverride and isinstance(event, QKeyEvent):
             if isinstance(watched, QAbstractSpinBox | QLineEdit):
-                return _is_window_undo(event)
+                undoes = any(map(event.matches, UNDO_KEYS))
+                if undoes:
+                    event.ignore()  # text boxes leave undo and redo to the window
+                return undoes
             keys = BUTTON_KEYS if isinstance(watched, QAbstractButton) else SLIDER_KEYS
             if event.key() in keys:
                 event.accept()
                 return True
         return False
-
-
-def _is_window_undo(event: QKeyEvent) -> bool:
-    """Whether it is undo or redo, which text boxes must leave to the window."""
-    undo, redo = QKeySequence.StandardKey.Undo, QKeySequence.StandardKey.Redo
-    if event.matches(undo) or event.matches(redo):
-        event.ignore()
-        return True
-    return False
 
 
 def watch_controls(panel: QWidget) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from html import escape
 from pathlib import Path
@@ -105,7 +105,7 @@ class MessageBar(_Bar):
         self.dismiss = push_button(
             "Dismiss",
             "Remove this message; Help → Messages lists all",
-            lambda: self._keep(lambda message: message is not self._shown),
+            lambda: self.keep(lambda message: message is not self._shown),
         )
         super().__init__(parent, self.more, self.copy, self.dismiss)
         self.kind.show()
@@ -124,20 +124,16 @@ class MessageBar(_Bar):
         self._open = [other for other in revised if other is not None]
         self._show_open()
 
-    def drop_warnings(self, kept: Container[str]) -> None:
-        """Remove warnings, when their source is closed, except of some topics."""
-        self._keep(lambda message: message.kind == "error" or message.topic in kept)
-
     def drop_topic(self, topic: str) -> None:
         """Remove messages of a topic, after a success."""
-        self._keep(lambda message: message.topic != topic)
+        self.keep(lambda message: message.topic != topic)
 
     @property
     def _shown(self) -> UserMessage:
         errors = [message for message in self._open if message.kind == "error"]
         return (errors or self._open)[-1]
 
-    def _keep(self, wanted: Callable[[UserMessage], bool]) -> None:
+    def keep(self, wanted: Callable[[UserMessage], bool]) -> None:
         self._open = [message for message in self._open if wanted(message)]
         self._show_open()
 

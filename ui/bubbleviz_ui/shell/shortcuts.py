@@ -181,15 +181,14 @@ class ShortcutsDialog(QDialog):
         self._shortcuts = shortcuts
         self.search = QLineEdit(placeholderText="Find an action", clearButtonEnabled=True)
         self.table = QTableWidget(len(shortcuts.actions), 2)
-        self.keys = QKeySequenceEdit()
+        self.keys, self.problem = QKeySequenceEdit(), QLabel(wordWrap=True)
         self.keys.setToolTip("Press the new keys of the selected action here, then Set")
         self.set = push_button("&Set", "", lambda: self._set(self.keys.keySequence()))
         self.clear = push_button("&No keys", "", lambda: self._set(QKeySequence()))
         self.reset = push_button(
-            "&Default", "", lambda: self._show_problem(shortcuts.reset(self.name))
+            "&Default", "", lambda: self.problem.setText(shortcuts.reset(self.name))
         )
         self.reset_all = push_button("&Reset all", "", shortcuts.reset_all)
-        self.problem = QLabel(wordWrap=True)
         table = self.table
         table.setHorizontalHeaderLabels(["Action", "Keys"])
         table.verticalHeader().hide()
@@ -219,10 +218,7 @@ class ShortcutsDialog(QDialog):
 
     def _set(self, keys: QKeySequence) -> None:
         if self.name:
-            self._show_problem(self._shortcuts.set_keys(self.name, keys))
-
-    def _show_problem(self, problem: str) -> None:
-        self.problem.setText(problem)
+            self.problem.setText(self._shortcuts.set_keys(self.name, keys))
 
     def _fill(self) -> None:
         for row, name in enumerate(self._shortcuts.actions):
@@ -231,7 +227,7 @@ class ShortcutsDialog(QDialog):
         self._show_keys()
 
     def _show_keys(self) -> None:
-        self._show_problem("")
+        self.problem.setText("")
         action = self._shortcuts.actions.get(self.name)
         if action is not None:
             self.keys.setKeySequence(action.shortcut())

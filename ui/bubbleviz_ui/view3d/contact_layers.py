@@ -278,14 +278,12 @@ class ReadoutLayer(Layer):
         self._rest.SetInput(self._details)
         if self._width_ratio(self._rest) < 1.0:
             lines = self._details.replace("\n", SEPARATOR).split(SEPARATOR)
-            self._rest.SetInput("\n".join(map(self._wrapped, lines)))
+            view, width = self.canvas.view, self._width
+            wrapped = [wrap(view, self._rest, line, width) for line in lines]
+            self._rest.SetInput("\n".join(wrapped))
         tall = share * (TOP + BELOW) + text_size(self.canvas.view, self._rest)[1]
         if tall > MOST * height and not self._doubtful:  # else they are the reason
             self._rest.SetInput("")
-
-    def _wrapped(self, line: str) -> str:
-        """Wrap a line to the available width."""
-        return wrap(self.canvas.view, self._rest, line, self._width)
 
     @property
     def _width(self) -> float:

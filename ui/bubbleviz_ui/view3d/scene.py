@@ -149,7 +149,8 @@ class Scene:
         self._drawn.set_sensor(sensor, mesh)
         self.scales.set_sensor(sensor)
         alone = not len(self._others_m)  # of two sensors, both stay in view
-        if alone and before is not None and not _as_large(before, mesh):
+        old_m, new_m = (np.ptp(each.nodes, axis=0) for each in (before or mesh, mesh))
+        if alone and not np.allclose(old_m, new_m, rtol=SAME_SIZE):  # another inflation level
             self.reset_view()
         else:
             self._fit_unless_moved()
@@ -282,11 +283,6 @@ class Scene:
     def _camera_place(self) -> tuple[object, ...]:
         camera = self._view.camera
         return (tuple(camera.position), tuple(camera.focal_point), tuple(camera.up))
-
-
-def _as_large(one: MembraneMesh, other: MembraneMesh) -> bool:
-    """Whether membranes have about the same size, as one sensor at its inflation levels has."""
-    return np.allclose(np.ptp(one.nodes, axis=0), np.ptp(other.nodes, axis=0), rtol=SAME_SIZE)
 
 
 def _bounds(mesh: MembraneMesh, sensor: Sensor, others_m: np.ndarray) -> list[float]:
