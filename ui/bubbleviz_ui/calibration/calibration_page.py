@@ -87,7 +87,6 @@ class NumberForm(QWidget):
 
 # An image with its colour scale and the value under the mouse.
 
-
 HEIGHT = 290
 """Height of the image with its scale, screen pixels."""
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 # Results of the calibration thread: an identification and its images.
 
-
 IMAGES_AT = 0.95
 """Progress at which the images are computed."""
 

@@ -181,7 +181,6 @@ class SurfacePage(Page):
 
 # Step 4: γ0 from the Young–Laplace equation, with its interval and local values.
 
-
 SPREAD = 0.2
 """Relative deviation from γ0 at the ends of the colour scale."""
 

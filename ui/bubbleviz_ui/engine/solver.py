@@ -89,7 +89,6 @@ class Solved:
 
 # Estimates of frames, cached so that another κ needs no solving.
 
-
 CACHE_BYTES = 256 * 2**20
 """About 6,000 frames of 1,000 nodes."""
 

@@ -79,7 +79,6 @@ KINDS = (
 
 # Video of the 3-D view: the window draws the frames, a thread encodes them.
 
-
 MAX_QUEUED = 2
 """Pictures waiting for the encoder; 6 MB each at 1920×1080."""
 CAPTION_SIZE = 16  # px

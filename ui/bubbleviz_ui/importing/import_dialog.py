@@ -71,7 +71,6 @@ class FileField(QWidget):
 
 # Options of a folder of depth images: camera, times, unit, other measurements.
 
-
 UNITS = {
     None: "integers mm, floats m",
     1.0: "m",

@@ -131,7 +131,6 @@ def _diagnostics(settings: Settings) -> Products:
 
 # Performance: run time of each stage, and which layers and panels request it.
 
-
 STAGES = {
     "estimate": "Contact pressure (Eq. 23)",
     "fine_contact": "Contact on a finer mesh, if the camera resolves more than the sensor's mesh",

@@ -200,7 +200,6 @@ def _heading(curve: KappaCurve | None, result: Result, kappa: float | None, unit
 
 # Threshold panel: pressure histogram, κ-curve and parts of the patch.
 
-
 HEIGHT = 300
 """Height of both plots, screen pixels."""
 COLUMNS = ("Area", "Force", "Peak pressure", "")

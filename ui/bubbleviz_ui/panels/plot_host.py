@@ -116,7 +116,6 @@ class PlotHost(QWidget):
 
 # Common style of all plots: axes, grid, and a heading.
 
-
 LEFT, RIGHT, BOTTOM, HEADING = 46, 4, 20, 17
 """Space for the axes, beside them, and for the heading, screen pixels."""
 TICK_SPACING = 56

@@ -227,7 +227,6 @@ class StatusBar(QStatusBar):
 
 # Performance pop-up: run time of each stage, and the layers and panels that need it.
 
-
 EVERY_MS = 500
 COLUMNS = ("Stage", "last", "median", "runs", "Why it runs")
 WIDTH = 860  # px: all columns

@@ -236,7 +236,6 @@ def isolated(values: np.ndarray) -> np.ndarray:
 
 # Estimated force over that of a wrench sensor.
 
-
 DOT, RING = 4, 9
 """Sizes of a frame and of the mark around the one at the cursor, px."""
 REACH = 8.0

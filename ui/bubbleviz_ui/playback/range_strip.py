@@ -123,7 +123,6 @@ class RangeStrip(QWidget):
 
 # Statistics of the curves over the range on the timeline.
 
-
 NUMBERS = {
     "mean": "mean",
     "standard_deviation": "standard deviation",

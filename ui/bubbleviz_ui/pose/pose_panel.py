@@ -44,7 +44,6 @@ if TYPE_CHECKING:
 
 # Plots of fitness and rmse over the iterations of a fit, and over time.
 
-
 Below = Literal["number", "seconds"]
 HEIGHT = 109
 """Height of a plot with its heading, screen pixels."""
@@ -127,7 +126,6 @@ class Curve(Plot):
 
 
 # Boxes for the initial pose.
-
 
 MAX_DISTANCE_M = 0.5  # from the origin of B, beyond any sensor
 NAMES = ("x", "y", "z")

@@ -92,7 +92,6 @@ def identified_text(sensor: Sensor) -> str:
 
 # Row of the panel: a number with its interval, or a box to edit it.
 
-
 BOX_WIDTH = 70  # px
 
 

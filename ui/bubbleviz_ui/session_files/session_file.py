@@ -249,7 +249,6 @@ def _read(path: Path, kind: type[Any]) -> Any:
 
 # Copies of unsaved sensors next to a session file.
 
-
 FILE = "sensor.toml"
 
 

@@ -56,7 +56,6 @@ class ShearPlot(PlotHost):
 
 # Texts of force with friction, and of slip; ± is half of the 95 % interval.
 
-
 NUMBERS = {
     "force": "Force |F|", "normal": "Along normal", "tangential": "Across normal",
     "direction": "Direction", "torque": "Torque", "displacement": "Displacement", "slip": "Slip",

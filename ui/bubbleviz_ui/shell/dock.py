@@ -211,7 +211,6 @@ def scrolled(panel: QWidget) -> QScrollArea:
 
 # Layout helpers, and bars and labels for narrow windows.
 
-
 MIN_TEXT = 240
 """Smallest width of a long text next to controls, screen pixels."""
 

@@ -254,7 +254,6 @@ class HintBar(_Bar):
 
 # A row of step buttons with number, name and state.
 
-
 SMALL = 8
 """Size of the font, pt: seven names fit in a panel of 380 pixels."""
 

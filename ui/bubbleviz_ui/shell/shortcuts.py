@@ -167,7 +167,6 @@ def _named(menu: QMenuBar | QMenu, path: str) -> Iterator[tuple[str, QAction]]:
 
 # Dialog that lists and changes the keys of all actions.
 
-
 SIZE = (560, 520)  # px
 
 

@@ -65,7 +65,6 @@ def lookup_table(values: np.ndarray) -> Any:
 
 # Upper ends of the colour and length scales: set by the user, else from the data.
 
-
 STEPS = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 PRESSURE_SHARE = 0.25
 """Smallest end of the pressure scale over the gauge pressure, so that noise stays dark."""

@@ -93,7 +93,6 @@ class WireframeLayer(Layer):
 
 # Outlines of contact patches.
 
-
 IN_FRONT = -200.0
 """Draws the outlines in front of the membrane, on which they lie."""
 
@@ -161,7 +160,6 @@ class ComparedLayer(LinesLayer):
 
 # Contact pressure as lines along the normals, with lengths proportional to the pressure.
 
-
 LONGEST = 0.5
 """Line length at the end of the pressure scale, in heights of the dome; of traction, too."""
 
@@ -182,7 +180,6 @@ class VectorsLayer(LinesLayer):
 
 
 # The contact force: an arrow that ends at the centre of pressure.
-
 
 DEPTH_OFFSET = -4000.0
 """Draws the arrow in front of the membrane, as its tip may lie behind a dent."""
@@ -224,7 +221,6 @@ def _place(direction: np.ndarray, tip: np.ndarray, length: float) -> np.ndarray:
 
 
 # Readout: large text in the view with force and patch area.
-
 
 LEFT = 0.02
 """Left margin of the text, as a share of the view's width."""
@@ -334,7 +330,6 @@ def _text_actor(view: View) -> Any:
 
 # Contact traction as arrows: normal and tangential part, in two colours on one scale.
 
-
 BARB = (-0.25, 0.12)
 """End of a barb relative to the tip, along and across the arrow, in arrow lengths."""
 
@@ -371,7 +366,6 @@ def _arrows(starts: np.ndarray, ways: np.ndarray, across: np.ndarray) -> np.ndar
 
 
 # Colour image as a texture on the deformed membrane.
-
 
 TEXTURE_FADE = 0.1
 """Share of the pressure scale above which the pressure colours hide the texture."""

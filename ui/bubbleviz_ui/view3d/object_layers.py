@@ -68,7 +68,6 @@ class ObjectLayer(Layer):
 
 # Fit of the object: distances of contact points, correspondences, undetermined directions.
 
-
 COLOURS = [theme.NEARER, theme.BETWEEN, theme.GAP]
 """Contact points inside the object, on its surface, outside."""
 

@@ -297,7 +297,6 @@ def _bounds(mesh: MembraneMesh, sensor: Sensor, others_m: np.ndarray) -> list[fl
 
 # Other sensors: some of the same layers, placed by one matrix each.
 
-
 OTHER_LAYERS = frozenset({"membrane", "contour", "cloud", "force", "rim"})
 
 

@@ -84,7 +84,6 @@ def _round_length(most_m: float) -> float:
 
 # The depth camera's field of view.
 
-
 LINES = np.array([[2, 0, 1], [2, 0, 2], [2, 0, 3], [2, 0, 4], [2, 1, 2], [2, 2, 3], [2, 3, 4],
                   [2, 4, 1]])  # fmt: skip
 
@@ -159,7 +158,6 @@ class RimLayer(Layer):
 
 
 # The measured points, coloured by residual, by patch, or uniformly.
-
 
 CHUNK = 1024
 """Buffers grow in this step, so that a few points more do not reallocate them."""

@@ -78,7 +78,6 @@ def wrap(view: View, text: vtkTextActor, line: str, width: float) -> str:
 
 # Colour bars.
 
-
 WIDTH = 112
 """Width of the widest title, px."""
 HEIGHT, BORDER = 0.42, 0.04

@@ -130,7 +130,6 @@ def probe_text(place: Probed, units: Units) -> str:
 
 # Picking of points in the 3-D view.
 
-
 PICK_RADIUS = 0.004
 """Largest distance from a measured point, as a share of the view's diagonal."""
 
@@ -179,7 +178,6 @@ def _not_cut_away(mapper: Any) -> np.ndarray:
 
 # Section plane: clips the scene on one side.
 
-
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 
@@ -219,7 +217,6 @@ class Section:
 
 
 # Turntable: continuous rotation of the scene.
-
 
 EVERY_MS = 33
 DEGREES_A_SECOND = 30.0
@@ -280,7 +277,6 @@ def picture_of(view: View, width: int, height: int) -> np.ndarray:
 
 
 # Viewpoints: along the axes, and that of the depth camera.
-
 
 Viewpoint = Literal["top", "side", "front", "camera"]
 DIRECTIONS = {
