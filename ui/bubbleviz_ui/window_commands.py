@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -22,10 +23,8 @@ def window(fresh: bool) -> int:
 
     import_the_backend()
     from bubbleviz.sensor import load_sensor
-    from bubbleviz_ui.app import run_window
-    from bubbleviz_ui.window_session import Startup
 
-    return run_window(Startup(load_sensor(SYNTHETIC_SENSOR)), fresh=fresh)
+    return _show(None, fresh=fresh, sensor=load_sensor(SYNTHETIC_SENSOR))
 
 
 @click.command("open")
@@ -90,7 +89,9 @@ def open_recording(
                 "a saved session takes no --sensor, --truth, --depth-topic, --colour-delay, "
                 "--frame or --screenshot; leave them out"
             )
-        return _open_saved(recording, scene, fresh=fresh)
+        from bubbleviz.sensor import load_sensor
+
+        return _show(scene, fresh=fresh, sensor=load_sensor(SYNTHETIC_SENSOR), saved=recording)
     from bubbleviz_ui.startup_imports import import_the_backend
 
     import_the_backend()
@@ -119,16 +120,14 @@ def open_recording(
     return 0
 
 
-def _open_saved(saved: Path, scene: str | None, *, fresh: bool) -> int:
-    """Open the window with a saved session."""
-    from bubbleviz.sensor import load_sensor
+def _show(scene: str | None, *, fresh: bool, **first: Any) -> int:
+    """Open the window; `first`: fields of `Startup`."""
     from bubbleviz_ui.app import run_window
     from bubbleviz_ui.model.scene_presets import load_scene
     from bubbleviz_ui.window_session import Startup
 
     preset = None if scene is None else load_scene(scene)
-    startup = Startup(load_sensor(SYNTHETIC_SENSOR), scene=preset, saved=saved)
-    return run_window(startup, fresh=fresh)
+    return run_window(Startup(scene=preset, **first), fresh=fresh)
 
 
 def _open_live(
@@ -144,10 +143,7 @@ def _open_live(
     from bubbleviz.live import load_session
     from bubbleviz.recordings import AUTO
     from bubbleviz.sensor import load_sensor
-    from bubbleviz_ui.app import run_window
     from bubbleviz_ui.live.connection import single
-    from bubbleviz_ui.model.scene_presets import load_scene
-    from bubbleviz_ui.window_session import Startup
 
     if session is not None and sensor is not None:
         raise click.UsageError("--session names the sensor files; leave --sensor out")
@@ -160,7 +156,6 @@ def _open_live(
         live = single(source, sensor or AUTO, colour_delay_s)
     else:
         live = load_session(session or "")
-    preset = None if scene is None else load_scene(scene)
     name = live.sensors[0].sensor  # a missing file is reported before the window opens
     first = load_sensor(SYNTHETIC_SENSOR if name == AUTO else name)
-    return run_window(Startup(first, scene=preset, live=live), fresh=fresh)
+    return _show(scene, fresh=fresh, sensor=first, live=live)

@@ -104,7 +104,14 @@ def needed_products(settings: Settings) -> Products:
         needed |= PATCH | {"pixel_mask"}
     if settings.pose_track and (settings.layers | settings.panels) & POSE_CONSUMERS:
         needed |= PATCH | pose_products(settings)
-    diagnostics = _diagnostics(settings)
+    diagnostics = NO_PRODUCTS
+    if "plots" in settings.panels and "kappa" in settings.plots:
+        diagnostics |= {"kappa_curve"}
+    if "threshold" in settings.panels:
+        diagnostics |= {"kappa_curve", "components"}
+    if "images" in settings.panels:
+        shown = settings.images
+        diagnostics |= {name for name in DIAGNOSTICS if name.removesuffix("_image") in shown}
     return needed.union(diagnostics, *(DIAGNOSTICS[name] for name in diagnostics))
 
 
@@ -116,17 +123,6 @@ def pose_products(settings: Settings) -> Products:
 def plot_products(settings: Settings) -> Products:
     """Products that the chosen plots need for every frame."""
     return NO_PRODUCTS.union(*(PLOTS[name].needs for name in settings.plots))
-
-
-def _diagnostics(settings: Settings) -> Products:
-    wanted = NO_PRODUCTS
-    if "plots" in settings.panels and "kappa" in settings.plots:
-        wanted |= {"kappa_curve"}
-    if "threshold" in settings.panels:
-        wanted |= {"kappa_curve", "components"}
-    if "images" in settings.panels:
-        wanted |= {name for name in DIAGNOSTICS if name.removesuffix("_image") in settings.images}
-    return wanted
 
 
 # Performance: run time of each stage, and which layers and panels request it.

@@ -179,9 +179,15 @@ def _renamed(saved: SavedSession, rename: Callable[[str], str]) -> SavedSession:
 
 
 def absolute(name: str, file: Path | None = None) -> str:
-    """Absolute path of a file of a session; the unchanged name if there is no such file."""
-    path = find_file(name, file)
-    return name if path is None else str(path.absolute())
+    """Absolute path of a file of a session: as named, relative to the session file, or next to it.
+
+    The unchanged name if there is no such file.
+    """
+    places = [Path(name)]
+    if file is not None:
+        folder = file.absolute().parent
+        places = [folder / name, folder / Path(name).name]
+    return next((str(place.absolute()) for place in places if place.exists()), name)
 
 
 def missing(saved: SavedSession) -> dict[str, str]:
@@ -195,15 +201,6 @@ def missing(saved: SavedSession) -> dict[str, str]:
     if isinstance(obj, str) and Path(obj).suffix.lower() in SUFFIXES:
         named["object"] = obj
     return {what: name for what, name in named.items() if name and not Path(name).exists()}
-
-
-def find_file(name: str, file: Path | None) -> Path | None:
-    """Path of a file of a session: as named, relative to the session file, or next to it."""
-    places = [Path(name)]
-    if file is not None:
-        folder = file.absolute().parent
-        places = [folder / name, folder / Path(name).name]
-    return next((place for place in places if place.exists()), None)
 
 
 def read_session(path: Path) -> SavedSession:

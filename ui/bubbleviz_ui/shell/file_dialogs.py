@@ -111,15 +111,16 @@ def _saved_as(dialog: QFileDialog, proposed: str) -> tuple[str, str]:
 
 def _folder(of: str) -> str:
     """Folder of the last file of a kind, else of any kind; empty if there is none any more."""
-    known = _folders()
+    known = QSettings("bubbleviz", "folders")
     folder = str(known.value(of, known.value(ANY, "")))
     return folder if folder and Path(folder).is_dir() else ""
 
 
 def remember(of: str, path: Path) -> None:
     """Store the folder of a file for the next dialog of its kind, or of one not used yet."""
+    folders = QSettings("bubbleviz", "folders")
     for kind in (of, ANY):
-        _folders().setValue(kind, str(path.absolute().parent))
+        folders.setValue(kind, str(path.absolute().parent))
 
 
 def remember_sensor(path: Path, size: tuple[int, int]) -> None:
@@ -142,10 +143,6 @@ def _remembered(of: str, name: str) -> Path | None:
         return None
     remember(of, Path(name))
     return Path(name)
-
-
-def _folders() -> QSettings:
-    return QSettings("bubbleviz", "folders")
 
 
 def write_picture(path: Path, picture: QPixmap) -> None:

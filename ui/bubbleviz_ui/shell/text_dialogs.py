@@ -23,7 +23,7 @@ from PySide6.QtWidgets import (
 
 from bubbleviz.wording import count_of
 from bubbleviz_ui.engine.controller import Controller
-from bubbleviz_ui.engine.worker import Failed, Worker
+from bubbleviz_ui.engine.worker import Worker
 from bubbleviz_ui.model.messages import Messages, UserMessage
 from bubbleviz_ui.model.source_facts import title_text
 from bubbleviz_ui.shell.dock import fill, push_button, resize_on_screen
@@ -94,16 +94,15 @@ class InformationDialog(TextDialog):
         path = None if source is None else source.path
         if path is not None:
             self.text.setPlaceholderText("Reading the recording…")
-            worker.submit(partial(_contents, path), self._write, self._on_failed)
+            worker.submit(
+                partial(_contents, path), self._write, lambda failed: self._write(failed.message)
+            )
             self.finished.connect(worker.cancel)
         elif facts.is_empty:
             self._write("Nothing is open.")
         else:
             so_far = " so far" if facts.grows else ""
             self._write(f"Source: {facts.title}, {count_of(facts.frames, 'frame')}{so_far}")
-
-    def _on_failed(self, failed: Failed) -> None:
-        self._write(failed.message)
 
     def _write(self, text: str) -> None:
         self.text.setPlainText(f"{self._sensor}\n{text}")

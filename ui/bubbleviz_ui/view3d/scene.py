@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from vtkmodules.vtkCommonMath import vtkMatrix4x4
@@ -311,7 +311,12 @@ class OtherSensor:
         before = set(view.renderer.GetViewProps())
         self._drawn = DrawnLayers(view, units, scales, OTHER_LAYERS)
         made = [prop for prop in view.renderer.GetViewProps() if prop not in before]
-        self._assembly = _assembled(view, made)
+        self._assembly = vtkAssembly()
+        for prop in made:  # without the colour bars
+            view.renderer.RemoveViewProp(prop)
+            if isinstance(prop, vtkProp3D):
+                self._assembly.AddPart(prop)
+        view.renderer.AddViewProp(self._assembly)
         self._assembly.SetVisibility(False)
         self._nodes_m, self._T_W_B = np.empty((0, 3)), np.eye(4)
 
@@ -344,14 +349,3 @@ class OtherSensor:
         self._drawn.hide()
         self._assembly.SetVisibility(False)
         self._view.refresh()
-
-
-def _assembled(view: View, props: list[Any]) -> Any:
-    """Assembly of the actors among some props; all others (colour bars) are removed."""
-    assembly = vtkAssembly()
-    for prop in props:
-        view.renderer.RemoveViewProp(prop)
-        if isinstance(prop, vtkProp3D):
-            assembly.AddPart(prop)
-    view.renderer.AddViewProp(assembly)
-    return assembly
