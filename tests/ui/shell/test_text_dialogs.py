@@ -45,6 +45,8 @@ def test_information_and_documentation_dialogs(drive, sensor, tmp_path):
         assert pictures and all(each.width() <= dialog.page.viewport().width() for each in pictures)
     dialog.page.setSource(QUrl("tutorials/first-press.md"))
     assert "First press" in dialog.page.toPlainText()
+    title = dialog.page.document().begin()
+    assert heights(title)[0] > 1.5 * heights(title.next())[0]  # only the title is large
     driver.click(dialog.back)
     assert dialog.page.source().fileName() == "index.md"
     # search through all pages, from place to place and around
@@ -86,6 +88,11 @@ def images(page):
                 found.append(document.resource(kind, QUrl(name)).deviceIndependentSize())
         place = place.next()
     return found
+
+
+def heights(block):
+    """Height of each line of a paragraph."""
+    return [block.layout().lineAt(k).height() for k in range(block.layout().lineCount())]
 
 
 def at(page):

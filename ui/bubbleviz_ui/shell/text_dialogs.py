@@ -117,6 +117,11 @@ def _contents(path: Path) -> str:
 class _Page(QTextBrowser):
     """A page whose pictures are not wider than it."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        # one that appears resizes the page, which would be loaded again while Qt still fills it
+        self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOn)
+
     def loadResource(self, type: int, name: QUrl | str) -> object:
         """Contents of a file; a picture as one that fits."""
         found = super().loadResource(type, name)
