@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, takewhile
 from typing import NamedTuple
@@ -380,12 +381,10 @@ def zeros_of(source: FrameSource, pipeline: Pipeline) -> Zeros:
         if not isinstance(source, HeldFrames):  # their frames are not neighbours
             still = StillFrames(pipeline, source)
     image.fixed = True
-    pressures = [each.gas_pressure_pa for each in rest]
-    others = (_gas_pressure_pa(source, k) for k in (0, len(source) // 2))  # it may start late
-    if all(each is None for each in pressures) and all(each is None for each in others):
+    if all(each.gas_pressure_pa is None for each in chain(rest, _samples(source))):
         return Zeros(None, image, still, len(rest))
     gas = PressureZero(pipeline.model.sensor.pneumatics)
-    measured = [pressure for pressure in pressures if pressure is not None]
+    measured = [each.gas_pressure_pa for each in rest if each.gas_pressure_pa is not None]
     if len(measured) >= MIN_FRAMES:
         gas.frozen = len(set(measured)) == 1 and _is_frozen(source)
         if not gas.frozen:
@@ -463,13 +462,20 @@ def _explained_by_contact(frame: Frame, pipeline: Pipeline) -> bool:
     return contact.residual_rms_m < 0.5 * noise.residual_rms_m  # false without a fit: NaN
 
 
-def wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:
+def wrench_bias(source: FrameSource, pipeline: Pipeline) -> np.ndarray | None:
     """Bias of the wrench sensor: median force (3,) of the first contact-free frames, N.
 
-    Yields None after each examined frame, then the bias; NaN if no frames are contact-free.
+    The same for all frames of a recording, whichever are solved; None if none is contact-free.
     """
+    *_, bias = search_wrench_bias(source, pipeline)
+    return None if bias is None or np.isnan(bias).any() else bias
+
+
+def search_wrench_bias(source: FrameSource, pipeline: Pipeline) -> Iterator[np.ndarray | None]:
+    """Yield None after each examined frame, then the bias; NaN if no frames are contact-free."""
     rest: list[np.ndarray] = []
-    for index in range(len(source)):
+    measured = any(each.wrench is not None for each in _samples(source))
+    for index in range(len(source) if measured else 0):
         free = _contact_free(source, index, pipeline)
         if free is not None:
             rest.append(force_of(free.wrench))
@@ -493,12 +499,11 @@ def _is_frozen(source: FrameSource) -> bool:
     return len(pressures) > ZERO_FRAMES and len(set(pressures)) == 1
 
 
-def _gas_pressure_pa(source: FrameSource, index: int) -> float | None:
-    """Gas pressure of a frame; None if it was not measured, or the frame cannot be read."""
-    try:
-        return source[index].gas_pressure_pa
-    except InputError:
-        return None
+def _samples(source: FrameSource) -> Iterator[Frame]:
+    """First and middle frame, if they can be read: sensors may start late."""
+    for index in (0, len(source) // 2):
+        with suppress(InputError):
+            yield source[index]
 
 
 def _contact_free(source: FrameSource, index: int, pipeline: Pipeline) -> Frame | None:

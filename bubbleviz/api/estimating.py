@@ -43,7 +43,7 @@ from bubbleviz.result import TRUSTED, Estimate, Pose, PoseStatus, Result
 from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor, load_sensor, sensor_to_toml, with_colour_delay
 from bubbleviz.wording import count_of
-from bubbleviz.zeros import SEARCH_POINTS, Zeros, zeros_of
+from bubbleviz.zeros import SEARCH_POINTS, Zeros, wrench_bias, zeros_of
 
 if TYPE_CHECKING:
     from bubbleviz.live import LiveStream
@@ -452,6 +452,8 @@ def _new_run(
     }
     if zeros.gas is not None and zeros.gas.offset_pa is not None:
         provenance["gas_pressure_offset_pa"] = f"{zeros.gas.offset_pa}"
+    if (bias_n := wrench_bias(frames.source, pipeline)) is not None:
+        provenance["wrench_bias_n"] = " ".join(map(str, bias_n))
     context = {
         "recording": shown_name(frames.source),
         "sensor": sensor_name,

@@ -25,7 +25,7 @@ from bubbleviz.pipeline import SHEAR, FrameOptions, Pipeline, Product, stages
 from bubbleviz.progress import Progress, quiet
 from bubbleviz.recordings import AUTO
 from bubbleviz.wording import count_of
-from bubbleviz.zeros import Zeros, zeros_of
+from bubbleviz.zeros import Zeros, wrench_bias, zeros_of
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,8 @@ def export_frames(
     with whole_file(plan.out, overwrite=plan.overwrite) as temporary:
         if plan.is_folder:
             temporary.mkdir()
-        exporters = plan.exporters(pipeline, temporary)
+        bias_n = wrench_bias(frames.source, pipeline) if plan.has_table else None
+        exporters = plan.exporters(pipeline, temporary, bias_n)
         products = besides.union(*(each.products for each in exporters))
         if zeros is None and "estimate" in stages(products):
             zeros = zeros_of(frames.source, pipeline)

@@ -304,7 +304,8 @@ class Run(Sequence[FrameResult], Summary):
     ) -> None:
         self.model, self.context, self.provenance = model, context, provenance
         self.poses: list[PoseRow] = []
-        self._numbers = FrameTable(model.sensor.name)
+        bias_n = np.array(provenance.get("wrench_bias_n", "").split(), float)
+        self._numbers = FrameTable(model.sensor.name, bias_n if len(bias_n) else None)
         self._results: list[FrameResult] = []
         self._failures: Counter[str] = Counter()  # statuses with their reasons
         self._caveat: str | None = None

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bubbleviz.errors import InputError
 from bubbleviz.files import refuse_existing
 from bubbleviz.output.exporter import Exporter
@@ -92,22 +94,31 @@ class ExportPlan:
         self,
         pipeline: Pipeline,  # source of the results
         at: Path,  # temporary path of `out`; an existing folder if it is one
+        wrench_bias_n: np.ndarray | None = None,  # of tables, as of `FrameTable`
     ) -> list[Exporter]:
         """One exporter for each kind; files in a folder have its name."""
         if not self.is_folder:
-            return [self._one_file(at, pipeline)]
+            return [self._one_file(at, pipeline, wrench_bias_n)]
         name = self.out.name
         exporters: list[Exporter] = []
         for kind in self.kinds:
             if kind in _SINGLE_FILE:
-                exporters.append(self._one_file(at / f"{name}{_SINGLE_FILE[kind]}", pipeline))
+                path = at / f"{name}{_SINGLE_FILE[kind]}"
+                exporters.append(self._one_file(path, pipeline, wrench_bias_n))
             else:
                 exporters.append(_FILES_IN_A_FOLDER[kind](at, name, pipeline.model))
         return exporters
 
-    def _one_file(self, path: Path, pipeline: Pipeline) -> Exporter:
+    @property
+    def has_table(self) -> bool:
+        """Whether a table or its plots are among the files."""
+        return bool({*self.kinds} & {*_SINGLE_FILE})
+
+    def _one_file(
+        self, path: Path, pipeline: Pipeline, wrench_bias_n: np.ndarray | None
+    ) -> Exporter:
         write, sensor = _FILES[path.suffix.lower()][1], pipeline.model.sensor.name
-        return TableExporter(path, write, sensor, self.poses)
+        return TableExporter(path, write, sensor, self.poses, wrench_bias_n)
 
 
 def _kinds(what: Sequence[str]) -> tuple[str, ...]:

@@ -81,8 +81,8 @@ def magnitude_half_width_n(estimate: Estimate) -> float:
 def summary_row(result: Result) -> dict[str, Any]:
     """Values of one frame by key of `COLUMNS`, and the covariance of the wrench.
 
-    NaN if unknown, as without trusted estimate. `FrameTable` fills in the measured force, whose
-    bias depends on all frames, from `wrench_n`.
+    NaN if unknown, as without trusted estimate. `FrameTable` fills in the measured force, which
+    needs the bias of `wrench_n`.
     """
     estimate, patch = result.solution
     sigma, gas_pa = estimate.force_sigma_n, result.frame.gas_pressure_pa

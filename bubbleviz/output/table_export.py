@@ -39,8 +39,10 @@ class FrameTable:
     def __init__(
         self,
         sensor: str,  # its name
+        # (3,) force of the wrench sensor without contact; None: from these frames
+        wrench_bias_n: np.ndarray | None = None,
     ) -> None:
-        self._sensor = sensor
+        self._sensor, self._wrench_bias_n = sensor, wrench_bias_n
         self._rows: list[dict[str, Any]] = []
         self._more: list[dict[str, Any]] = []
         self._measured = 0  # number of rows when the measured force was computed
@@ -66,10 +68,12 @@ class FrameTable:
         """Values of each frame by key of RESULT.npz. Raises InputError: no frames."""
         if not self._rows:
             raise InputError("no frames were given; choose at least one")
-        if self._measured != len(self._rows):  # the bias depends on all frames
-            wrench = np.array([row["wrench_n"] for row in self._rows])
+        if self._measured != len(self._rows):  # the bias may depend on all frames
+            wrench, bias = np.array([row["wrench_n"] for row in self._rows]), self._wrench_bias_n
             contact_free = np.array([row["status"] == "no_contact" for row in self._rows])
-            for row, force in zip(self._rows, measured_force(wrench, contact_free), strict=True):
+            for row, force in zip(
+                self._rows, measured_force(wrench, contact_free, bias), strict=True
+            ):
                 row["measured_force_n"] = float(force)
             self._measured = len(self._rows)
         return self._rows
@@ -91,8 +95,10 @@ class TableExporter(Exporter):
         sensor: str,  # its name
         # pose columns by frame index, from `read_poses`
         poses: Mapping[int, dict[str, Any]],
+        wrench_bias_n: np.ndarray | None,  # as of `FrameTable`
     ) -> None:
-        self._path, self._write, self._table = path, write, FrameTable(sensor)
+        self._path, self._write = path, write
+        self._table = FrameTable(sensor, wrench_bias_n)
         columns = next(iter(poses.values()), {})
         unknown = {k: "" if isinstance(v, str) else np.nan for k, v in columns.items()}
         self._poses, self._no_pose = poses, unknown

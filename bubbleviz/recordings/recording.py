@@ -419,20 +419,22 @@ def _headers(images: Messages) -> tuple[np.ndarray, np.ndarray]:
 def measured_force(
     wrench_n: np.ndarray,  # (F, 3), forces as recorded, N; NaN where a frame has none
     contact_free: np.ndarray,  # (F,) bool
+    bias_n: np.ndarray | None = None,  # (3,), if it is known
 ) -> np.ndarray:
     """|F| of recorded wrenches minus their bias, N.
 
     The axes of a force/torque sensor are rarely documented, so only the magnitude can be compared.
-    Its bias is the median over the contact-free frames.
+    Its bias, unless it is known, is the median over the contact-free frames.
 
     Returns
     -------
     (F,) array
-        NaN for frames without a wrench, and for all where no contact-free frame has one.
+        NaN for frames without a wrench, and for all without a bias.
     """
-    free = wrench_n[contact_free & np.isfinite(wrench_n).all(axis=1)]
-    bias = np.median(free, axis=0) if len(free) else np.full(3, np.nan)
-    return np.asarray(np.linalg.norm(wrench_n - bias, axis=1))
+    if bias_n is None:
+        free = wrench_n[contact_free & np.isfinite(wrench_n).all(axis=1)]
+        bias_n = np.median(free, axis=0) if len(free) else np.full(3, np.nan)
+    return np.asarray(np.linalg.norm(wrench_n - bias_n, axis=1))
 
 
 def force_of(wrench: np.ndarray | None) -> np.ndarray:

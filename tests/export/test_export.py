@@ -68,6 +68,10 @@ def test_measured_force_is_exported_with_the_estimate(tmp_path, press, sensor):
         np.testing.assert_allclose(measured, pushes, atol=1e-9)
     with np.load(archive) as result:
         np.testing.assert_allclose(result["measured_force_n"], pushes, atol=1e-9)
+    # that of a frame does not depend on the others that are solved
+    part = bv.estimate(bv.open(recording)[1:3], sensor)
+    for one in (part, bv.load_run(archive)[1:3]):
+        np.testing.assert_allclose(one.columns()["measured_force_n"], pushes[1:3], atol=1e-9)
 
 
 def test_parquet_has_the_columns_of_the_csv(folder):

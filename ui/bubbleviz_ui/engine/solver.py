@@ -29,7 +29,7 @@ from bubbleviz.rigid_object import RigidObject, load_object
 from bubbleviz.sensor import Sensor
 from bubbleviz.sensor_model import SensorModel
 from bubbleviz.simulation import truth_of
-from bubbleviz.zeros import ImageZero, Zeros, wrench_bias, zeros_of
+from bubbleviz.zeros import ImageZero, Zeros, search_wrench_bias, zeros_of
 from bubbleviz_ui.engine.live_frames import LiveFrames
 from bubbleviz_ui.engine.shear_reference import ShearReference
 from bubbleviz_ui.engine.source import NO_SOURCE, PlacedSensor, Source
@@ -464,7 +464,8 @@ class Solver:
             if stream is not None:
                 stream.zero.refer_to(sensor.pneumatics)
             settings = SettingsComparison(sensor, pipeline.camera.intrinsics)
-            bias, zeros = wrench_bias(source, pipeline), _zeros(source, request.source, pipeline)
+            bias = search_wrench_bias(source, pipeline)
+            zeros = _zeros(source, request.source, pipeline)
             counted = FrameWarnings(pipeline, zeros)
             current = OpenSource(request.source, source, pipeline, settings, bias, zeros, counted)
             products = current.shear.products(source, pipeline, request.demand)

@@ -149,12 +149,9 @@ class FrameHistory:
         """Array (F,) of a quantity: one of `QUANTITIES`, or `measured_force_n`."""
         if name != MEASURED_FORCE:
             return self.values[name]
-        wrench_n = self.values["wrench_n"]
-        if self.wrench_bias_n is not None:
-            return np.asarray(np.linalg.norm(wrench_n - self.wrench_bias_n, axis=1))
         free = np.zeros(len(self), bool)
         free[np.flatnonzero(self.values["untouched"])[:WRENCH_FRAMES]] = True
-        return measured_force(wrench_n, free)
+        return measured_force(self.values["wrench_n"], free, self.wrench_bias_n)
 
     def next_start(self, kind: int, frame: int, direction: int) -> int | None:
         """First of the next frames in a contact state, or of the previous ones (`direction` −1).
