@@ -402,15 +402,11 @@ def test_clock_with_speed_single_frame_and_uneven_times(speed):
 def test_every_frame_mode_compensates_only_small_delays():
     clock = PlayClock(np.arange(10) / 10.0)
     clock.start(0, 0.0, 1.0)
-    assert clock.due(0.05, loop=False, every_frame=True) == (0, 0, False)
-    assert clock.due(0.13, loop=False, every_frame=True) == (1, 0, False)
-    assert clock.due(0.201, loop=False, every_frame=True) == (
-        2,
-        0,
-        False,
-    )  # due at 0.2, not at 0.23
-    assert clock.due(5.0, loop=False, every_frame=True) == (3, 0, False)
-    assert clock.due(5.05, loop=False, every_frame=True) == (3, 0, False)
+    assert clock.next_frame(0.05, loop=False) == (0, False)
+    assert clock.next_frame(0.13, loop=False) == (1, False)
+    assert clock.next_frame(0.201, loop=False) == (2, False)  # due at 0.2, not at 0.23
+    assert clock.next_frame(5.0, loop=False) == (3, False)
+    assert clock.next_frame(5.05, loop=False) == (3, False)
     clock.start(9, 6.0, 1.0)
-    assert clock.due(6.2, loop=False, every_frame=True) == (9, 0, True)
-    assert clock.due(6.2, loop=True, every_frame=True) == (0, 0, False)
+    assert clock.next_frame(6.2, loop=False) == (9, True)
+    assert clock.next_frame(6.2, loop=True) == (0, False)

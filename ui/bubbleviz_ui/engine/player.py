@@ -42,26 +42,38 @@ class PlayClock:
         self._wall_s = wall_s
         self._speed = speed
 
-    def due(self, wall_s: float, *, loop: bool, every_frame: bool = False) -> tuple[int, int, bool]:
-        """Frame due now, frames skipped since the last call, and whether playback has ended.
-
-        With `every_frame` none is skipped: of several the first is due, and the clock starts again.
-        """
+    def due(self, wall_s: float, *, loop: bool) -> tuple[int, int, bool]:
+        """Frame due now, frames skipped since the last call, and whether playback has ended."""
         begin, end = float(self._times[self._first]), float(self._times[self._end])
         elapsed = self._start_s + (wall_s - self._wall_s) * self._speed
         ended = not loop and elapsed >= end
         turns, within = divmod(elapsed - begin, self.period_s) if loop else (0.0, elapsed - begin)
         index = int(np.searchsorted(self._times, begin + within + 1e-9, "right")) - 1
         index = self._end if ended else min(max(index, self._first), self._end)
-        moved = index + int(turns) * (self._end - self._first + 1) - self._last
-        if every_frame and moved > 1:
-            following = self._first if self._last >= self._end else self._last + 1
-            self.start(following, wall_s, self._speed)
-            return following, 0, False
         if turns:
             self._start_s, self._wall_s = begin + within, wall_s
+        moved = index + int(turns) * (self._end - self._first + 1) - self._last
         self._last = index
         return index, max(moved - 1, 0), ended
+
+    def next_frame(self, wall_s: float, *, loop: bool) -> tuple[int, bool]:
+        """Next frame if it is due, else the last, and whether playback has ended; skips none."""
+        if self._last >= self._end:
+            if not loop:
+                return self._last, True
+            index, interval = self._first, self.period_s - self._span(self._first, self._end)
+        else:
+            index = self._last + 1
+            interval = self._span(self._last, index)
+        due = self._wall_s + interval / self._speed
+        if wall_s < due:
+            return self._last, False
+        in_time = wall_s - due < interval / self._speed
+        self.start(index, due if in_time else wall_s, self._speed)
+        return index, False
+
+    def _span(self, first: int, last: int) -> float:
+        return float(self._times[last] - self._times[first])
 
 
 TICK_MS = 8
@@ -98,6 +110,7 @@ class Player(QObject):
         self.skipped, self._result_frame = 0, frame
 
     def close(self) -> None:
+        """Stop the timer."""
         self._timer.stop()
 
     def _on_frame(self, _: int, by_playback: bool) -> None:
@@ -126,11 +139,14 @@ class Player(QObject):
             return
         now = max(time.perf_counter() + ahead_s, self._clock_s)  # never backwards
         self._clock_s = now
-        loop, every = state.settings.loop, state.settings.every_frame
-        if every and self._result_frame != state.frame and not state.frozen:
-            return
-        index, skipped, ended = self._clock.due(now, loop=loop, every_frame=every)
-        self.skipped += 0 if state.frozen else skipped
+        loop = state.settings.loop
+        if state.settings.every_frame:
+            if self._result_frame != state.frame and not state.frozen:
+                return
+            index, ended = self._clock.next_frame(now, loop=loop)
+        else:
+            index, skipped, ended = self._clock.due(now, loop=loop)
+            self.skipped += 0 if state.frozen else skipped
         state.advance_to(index)
         if ended:
             state.set_playing(False)
